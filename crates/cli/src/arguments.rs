@@ -57,7 +57,6 @@ pub(crate) enum Command {
     Link,
     Import,
     Data,
-    Export,
     Doctor(doctor::Args),
     Config(config::Args),
     Train,
@@ -77,7 +76,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("To begin", &["demo", "new", "config", "doctor"]),
     ("A running fleet", &["run", "publish", "bridge", "link"]),
     ("What to know of it", &["watch", "ask", "alarms", "serve"]),
-    ("Captures", &["record", "replay", "info", "recover", "import", "export"]),
+    ("Captures", &["record", "replay", "info", "recover", "import"]),
     (
         "Models and data",
         &["data", "train", "eval", "analyze", "calibrate", "report", "model", "mission"],

@@ -20,19 +20,10 @@ const DESCRIBED: [&str; 5] = [
     include_str!("../verbs/bench.json"),
 ];
 
-/// Description of the program that `joulebus import` runs.
-const ROSBAG: &str = include_str!("../verbs/rosbag.json");
-
 /// The verbs of other programs.
 pub(crate) fn verbs() -> &'static [Verb] {
     let verbs: Vec<Verb> = DESCRIBED.iter().flat_map(|text| described(text)).collect();
     Vec::leak(verbs)
-}
-
-/// The program `joulebus-rosbag`, which is no verb.
-pub(crate) fn rosbag() -> clap::Command {
-    let verbs: &'static [Verb] = Vec::leak(described(ROSBAG));
-    verbs[0].command().version(env!("CARGO_PKG_VERSION"))
 }
 
 /// The program `joulebus-lab`, whose verbs are shown as those of `joulebus`.
@@ -98,7 +89,6 @@ mod tests {
 
     #[test]
     fn every_description_is_valid() {
-        assert_eq!(rosbag().get_name(), "joulebus-rosbag");
         assert!(verbs().len() >= DESCRIBED.len());
     }
 }

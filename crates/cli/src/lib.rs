@@ -105,7 +105,6 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Link => external::run("link"),
         Command::Import => external::run_lab("import"),
         Command::Data => external::run_lab("data"),
-        Command::Export => external::run_lab("export"),
         Command::Doctor(args) => doctor::run(args, output),
         Command::Config(args) => config::run(args, output),
         Command::Train => external::run_lab("train"),

@@ -26,8 +26,8 @@ pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
     let failed = || format!("cannot write the pages into {folder}");
     let made = tempfile::tempdir().with_context(failed)?;
-    // Programs of their own beside the verbs.
-    for program in [program, external::rosbag(), external::lab()] {
+    // A program of its own beside the verbs.
+    for program in [program, external::lab()] {
         clap_mangen::generate_to(program, made.path()).with_context(failed)?;
     }
     // clap_mangen writes in place, through links and into pipes.

@@ -58,7 +58,6 @@ pub mod inspect;
 mod messages;
 mod reader;
 pub mod recover;
-mod ros_file;
 pub mod scan;
 mod writer;
 
@@ -68,7 +67,6 @@ pub use messages::{
     Content, DecodeError, Entry, Frame, Message, MessageKind, OutOfRange, Query, RobotRow,
 };
 pub use reader::{ReadError, Reader};
-pub use ros_file::{RosFile, RosTopic, RosTopicId};
 pub use writer::{
     CaptureSettings, MAX_CHANNELS, Preset, Sequences, Times, WriteError, Writer, Written,
 };

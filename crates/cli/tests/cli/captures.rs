@@ -315,6 +315,53 @@ fn a_recording_without_a_battery_exits_with_1_and_lists_its_topics() {
 }
 
 #[test]
+fn a_bags_folder_is_read_as_far_as_its_files_are_mcap_and_the_others_are_named_with_the_way() {
+    const OF_SQLITE: &str = "a bag of SQLite. Convert it with `ros2 bag convert` or \
+        `rosbags-convert`, or read it with `joulebus.read_bag` in Python";
+    let fleet = Fleet::new();
+    let folder = fleet.path("office");
+    fs::create_dir(&folder).unwrap();
+    let refused = |path: &Path| run(format!("import {} -o {}", text(path), text(&fleet.path("x"))));
+    let ended = refused(&folder).exits(1);
+    assert!(stderr(&ended).contains("no .mcap file is in this folder"), "{}", stderr(&ended));
+    // Whatever the file contains: its recorder may have been killed.
+    for (name, bytes) in [("a.db3", &b"SQLite format 3\0"[..]), ("empty.DB3", b"")] {
+        let path = fleet.path(name);
+        fs::write(&path, bytes).unwrap();
+        let ended = refused(&path).exits(1);
+        assert_contains(&stderr(&ended), [&format!("{name}: {OF_SQLITE}")]);
+        assert!(!fleet.path("x").exists());
+    }
+    fs::write(folder.join("office_0.db3"), b"SQLite format 3\0").unwrap();
+    let ended = refused(&folder).exits(1);
+    assert_contains(&stderr(&ended), [&format!("office_0.db3: {OF_SQLITE}")]);
+    fs::write(folder.join("office_1.mcap"), crate::doors::bag("").unwrap()).unwrap();
+    // A last file that a loss of power left empty.
+    fs::write(folder.join("office_2.mcap"), "").unwrap();
+    fs::write(folder.join("office_3.mcap.zstd"), "").unwrap();
+    let listed = "  relative_file_paths:\n    - office_1.mcap\n    - office_4.mcap\n";
+    fs::write(folder.join("metadata.yaml"), listed).unwrap();
+    let out = fleet.path("trials");
+    let ended = run(format!("import {} -o {}", text(&folder), text(&out))).exits(3);
+    let expected = [
+        "300 rows of",
+        &format!("office_0.db3: {OF_SQLITE}"),
+        "office_2.mcap: byte 0: found an empty file",
+        "zstd -d office_3.mcap.zstd",
+        "office_4.mcap: metadata.yaml lists it",
+    ];
+    assert_contains(&stdout(&ended), expected);
+}
+
+#[test]
+fn a_verb_that_went_is_refused_with_what_takes_its_place() {
+    for words in ["export run.mcap --to parquet x", "export", "--format json export --help"] {
+        let refused = run(words.to_owned()).exits(2);
+        assert_contains(&stderr(&refused), ["export went: ", "joulebus.read"]);
+    }
+}
+
+#[test]
 fn a_recorder_reports_at_once_that_the_worker_runs_with_other_files_than_it_attaches() {
     let fleet = Fleet::new();
     let platform = joulebus_config::builtin_platform("gternal").unwrap();

@@ -13,14 +13,13 @@ use joulebus_testkit::assert_page_contains;
 use super::fleet::{Fleet, code, done, output, stderr, stdout};
 
 /// Doors, with what stands for the recording.
-const DOORS: [(&str, &str); 11] = [
+const DOORS: [(&str, &str); 10] = [
     ("data check", "data check RECORDING"),
     ("import", "import RECORDING -o OUT"),
     ("config init", "config init --from RECORDING -o OUT"),
     ("train", "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors"),
     ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none"),
     ("analyze", "analyze RECORDING --native --split time"),
-    ("export", "export RECORDING --to parquet OUT"),
     ("report", "report RECORDING --model builtin:gternal-sim -o OUT"),
     (
         "publish trial",
@@ -64,7 +63,7 @@ const OF_TEXT: [&str; 3] = [
     "a column that is named and empty",
 ];
 
-const FORMATS: [&str; 5] = ["CSV", ".npy", "capture", "Parquet", "ROS 2 bag"];
+const FORMATS: [&str; 4] = ["CSV", ".npy", "capture", "ROS 2 bag"];
 const ROWS: u32 = 300;
 
 /// A row of a robot of 12 V and some 0.25 A: time, voltage, current, power, commands, measured
@@ -231,7 +230,7 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
         "CSV" => Some(csv),
         _ if OF_TEXT.contains(&planted) => None,
         // joulebus writes a trial for each of them.
-        "capture" | "Parquet" if is_appended => None,
+        "capture" if is_appended => None,
         // Without measured speeds and a charge.
         ".npy" if ["a charge of 0 to 100", "a command that never ends"].contains(&planted) => None,
         ".npy" => made("recording.npy", "data convert CSV --out TO"),
@@ -240,7 +239,6 @@ fn recording(folder: &Path, planted: &str, format: &str) -> Option<PathBuf> {
             None
         }
         "capture" => made("recording.mcap", &format!("import CSV -o TO --accept {accepted}")),
-        "Parquet" => made("archive", "export CSV --to parquet TO"),
         _ => {
             let path = folder.join("bag.mcap");
             fs::write(&path, bag(planted)?).unwrap();
@@ -296,7 +294,6 @@ fn cells(
             let takes = match format {
                 // Other verbs read what it makes.
                 "ROS 2 bag" => *door == "import",
-                "Parquet" => !["import", "export"].contains(door),
                 _ => true,
             };
             let Some(recording) = recording.as_ref().filter(|_| takes) else {

@@ -88,7 +88,6 @@ fn every_verb_has_a_manual_page() {
         "joulebus-run.1",
         "joulebus-publish-sim.1",
         "joulebus-alarms.1",
-        "joulebus-rosbag.1",
         "joulebus-lab.1",
         "joulebus-train-trials.1",
     ] {

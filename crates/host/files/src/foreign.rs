@@ -19,7 +19,7 @@ pub struct Foreign {
 impl Foreign {
     /// The kind of file with a remedy, for readers of other contents than tables.
     pub fn of_any_contents(&self) -> String {
-        match self.remedy.contains("csv") {
+        match self.remedy.contains("csv") || self.remedy.contains("read_table") {
             true => self.what.to_owned(),
             false => self.to_string(),
         }
@@ -38,10 +38,11 @@ type Kind = (usize, &'static [u8], &'static str, &'static str);
 /// A file that captures and bags may be.
 pub const MCAP: &str = "an MCAP file";
 
-const MAT: &str = "in MATLAB `writetable(T, 'log.csv')` or `writematrix`. In Python \
-    `scipy.io.loadmat` or `mat73.loadmat`, \
-                   then `pandas.DataFrame(…).to_csv`";
-const PANDAS: &str = "in Python `pandas.read_feather('FILE').to_csv('log.csv', index=False)`";
+const MAT: &str = "read it in Python with `scipy.io.loadmat` and `joulebus.read_table`, or save it \
+    in MATLAB with `writetable(T, 'log.csv')`";
+const MAT_73: &str = "read it in Python with `h5py` or `mat73.loadmat`, and `joulebus.read_table`, \
+    or save it in MATLAB with `writetable(T, 'log.csv')`";
+const FEATHER: &str = "read it in Python with `pandas.read_feather` and `joulebus.read_table`";
 const PICKLE: &str = "reading it runs its code. Only if you trust it, in Python \
     `pandas.read_pickle('FILE').to_csv('log.csv')`, \
                       or `torch.load` and `safetensors.torch.save_file`";
@@ -53,28 +54,30 @@ const LFS: &str = "the file itself was not downloaded: `git lfs pull`";
 const WEB: &str = "a page was downloaded instead of the file: use its raw or download link";
 const UNPACK: &str = "unpack it first";
 const TABLE: &str =
-    "in Python `pandas.read_excel('FILE').to_csv('log.csv', index=False)`, or save it as CSV";
+    "read it in Python with `pandas.read_excel` and `joulebus.read_table`, or save it as CSV";
 
 const KINDS: [Kind; 50] = [
-    (0, b"MATLAB 7.3 MAT-file", "a MATLAB file (v7.3, HDF5)", MAT),
+    (0, b"MATLAB 7.3 MAT-file", "a MATLAB file (v7.3, HDF5)", MAT_73),
     (0, b"MATLAB 5.0 MAT-file", "a MATLAB file (v5 to v7)", MAT),
     (
         0,
         b"\x89HDF\r\n\x1a\n",
         "an HDF5 file",
-        "in Python `pandas.read_hdf` or `h5py`, then `to_csv`",
+        "read it in Python with `pandas.read_hdf` or `h5py`, and `joulebus.read_table`",
     ),
     (
         0,
         b"#ROSBAG V",
         "a bag of ROS 1",
-        "`rosbags-convert --src FILE --dst bag` or `mcap convert FILE bag.mcap`, then `joulebus import`",
+        "read it in Python with `joulebus.read_bag`, or convert it with `rosbags-convert --src FILE --dst bag \
+         --dst-storage mcap`, then `joulebus import`",
     ),
     (
         0,
         b"SQLite format 3\0",
         "an SQLite file",
-        "a bag of rosbag2 (.db3) is read by `joulebus import`",
+        "a bag (.db3) is read in Python by `joulebus.read_bag`, or converted with `ros2 bag convert` or \
+         `rosbags-convert`. Another table: `pandas.read_sql` and `joulebus.read_table`",
     ),
     (
         0,
@@ -90,31 +93,31 @@ const KINDS: [Kind; 50] = [
          --map time=timestamp,voltage_V=Volt,current_A=Curr",
     ),
     (0, b"WPILOG", "a log of WPILib", "export it as CSV with WPILib's DataLogTool, then --map"),
-    (0, b"ARROW1\0\0", "an Arrow or Feather file", PANDAS),
+    (0, b"ARROW1\0\0", "an Arrow or Feather file", FEATHER),
     (
         0,
         b"\xff\xff\xff\xff",
         "an Arrow stream",
-        "in Python `pyarrow.ipc.open_stream('FILE').read_pandas().to_csv('log.csv')`",
+        "read it in Python with `polars.read_ipc_stream` and `joulebus.read_table`",
     ),
-    (0, b"FEA1\0", "a Feather file", PANDAS),
+    (0, b"FEA1\0", "a Feather file", FEATHER),
     (
         0,
         b"PAR1\x15",
         "a Parquet file",
-        "in Python `pandas.read_parquet('FILE').to_csv('log.csv', index=False)`",
+        "read it in Python with `pandas.read_parquet` and `joulebus.read_table`",
     ),
     (
         0,
         b"CDF\x01",
         "a NetCDF file",
-        "in Python `xarray.open_dataset('FILE').to_dataframe().to_csv('log.csv')`",
+        "read it in Python with `xarray.open_dataset(…).to_dataframe()` and `joulebus.read_table`",
     ),
     (
         0,
         b"CDF\x02",
         "a NetCDF file",
-        "in Python `xarray.open_dataset('FILE').to_dataframe().to_csv('log.csv')`",
+        "read it in Python with `xarray.open_dataset(…).to_dataframe()` and `joulebus.read_table`",
     ),
     (0, b"\x89MCAP0\r\n", MCAP, "`joulebus import` reads recordings of other programs"),
     (0, b"\x93NUMPY", "a NumPy array", UNPACK),
@@ -155,8 +158,8 @@ const KINDS: [Kind; 50] = [
     (0, b"[\n", "JSON", JSON),
 ];
 
-const JSON: &str = "in Python `pandas.read_json('FILE', lines=True).to_csv('log.csv', \
-    index=False)`, without `lines` for one list";
+const JSON: &str = "read it in Python with `pandas.read_json` (lines=True, if each line is an \
+    object) and `joulebus.read_table`";
 
 /// Recognises a file by its beginning `head`, unless it is text or of an unknown kind. At least
 /// [`HEAD_BYTES`] are looked at, if the file has them. Whoever reads one of these kinds looks for

@@ -21,10 +21,19 @@ const CAT: &str = "`mcap cat FILE --json` prints the messages of captures and of
 const ROWS: &str =
     "the verb `cat`, which had it, went too. Use --format json, or `mcap cat FILE --json`";
 
-/// The verb of an option, the argument of a value, or nothing for a verb, with what is gone and what
-/// takes its place.
+/// The program of a verb.
+const PROGRAM: &str = "joulebus";
+
+/// The verb of an option, the argument of a value, or the program of a verb, with what is gone and
+/// what takes its place.
 const GONE: &[(&str, &str, &str)] = &[
-    ("", "cat", CAT),
+    (PROGRAM, "cat", CAT),
+    (
+        PROGRAM,
+        "export",
+        "in Python, joulebus.read, read_frames and read_trials give tables, which pandas and Polars \
+         write as Parquet: docs/how-to/python-lab.md",
+    ),
     ("FORMAT", "ndjson", ROWS),
     ("FORMAT", "csv", ROWS),
     ("serve", "--foxglove", FOXGLOVE),
@@ -68,9 +77,14 @@ pub(crate) fn instead(arguments: &clap::Error) -> Option<String> {
         ErrorKind::InvalidValue => &|argument| {
             let invalid = text(ContextKind::InvalidArg);
             let name = invalid.rsplit(['<', '[']).next().unwrap_or_default();
-            !argument.is_empty() && name.trim_end_matches(['>', ']']) == argument
+            name.trim_end_matches(['>', ']']) == argument
         },
-        ErrorKind::InvalidSubcommand => &str::is_empty,
+        // A verb of a verb has that one's name in its usage.
+        ErrorKind::InvalidSubcommand => &|program| {
+            let usage = text(ContextKind::Usage);
+            let of_program = [" [", " <"].map(|next| format!("{PROGRAM}{next}"));
+            program == PROGRAM && of_program.iter().any(|of| usage.contains(of))
+        },
         _ => return None,
     };
     let unknown = match arguments.kind() {
@@ -99,16 +113,27 @@ mod tests {
         instead(&refused.expect_err("the word is unknown"))
     }
 
+    fn refused_verb(words: &[&str]) -> Option<String> {
+        let model = clap::Command::new("model").subcommand(clap::Command::new("info"));
+        let quiet = clap::Arg::new("quiet").long("quiet").action(clap::ArgAction::SetTrue);
+        let program = clap::Command::new(PROGRAM).subcommand_required(true).arg(quiet);
+        let words = [&[PROGRAM], words].concat();
+        let refused = program.subcommand(model).try_get_matches_from(words);
+        instead(&refused.expect_err("the verb is unknown"))
+    }
+
     #[test]
     fn what_is_gone_is_refused_by_name_with_what_takes_its_place() {
         for (of, word, instead) in GONE.iter().copied() {
             let expected = Some(format!("{word} went: {instead}"));
-            if word.starts_with("--") {
+            if of == PROGRAM {
+                assert_eq!(refused_verb(&[word]), expected);
+                assert_eq!(refused_verb(&[word, "run.mcap", "--to", "parquet", "x"]), expected);
+                assert_eq!(refused_verb(&["model", word]), None, "of a verb");
+            } else if word.starts_with("--") {
                 assert_eq!(refused(of, &[of, word]), expected);
                 assert_eq!(refused(of, &[of, &format!("{word}=1")]), expected);
                 assert_eq!(refused("new", &["new", word]), None, "of another verb");
-            } else if of.is_empty() {
-                assert_eq!(refused("bench", &[word, "run.mcap"]), expected);
             } else if of == "FORMAT" {
                 assert_eq!(refused("info", &["info", "--format", word]), expected);
             } else {
@@ -117,7 +142,7 @@ mod tests {
         }
         assert_eq!(refused("serve", &["serve", "--colour"]), None);
         assert_eq!(refused("bench", &["bench", "abacus"]), None);
-        assert_eq!(refused("bench", &["dog"]), None);
+        assert_eq!(refused_verb(&["exports"]), None);
         assert_eq!(refused("bench", &["bench", "--format", "xml"]), None);
     }
 }

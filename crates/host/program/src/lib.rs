@@ -1,7 +1,7 @@
 //! The shared part of all joulebus programs: arguments, output, exit codes, signals and logging.
 //!
-//! A part of the programs `joulebus`, `joulebus-lab`, `joulebus-serve`, `joulebus-link`,
-//! `joulebus-bridge` and `joulebus-rosbag`. It is not for use on its own.
+//! A part of the programs `joulebus`, `joulebus-lab`, `joulebus-serve`, `joulebus-link` and
+//! `joulebus-bridge`. It is not for use on its own.
 //!
 //! **Three types to know.** [`GlobalOptions`](options::GlobalOptions) are the options of every
 //! verb. An [`Output`](output::Output) writes results to stdout, as text or as JSON. Everything

@@ -23,8 +23,7 @@
 //! [`Dataset`](rows::Dataset) has the rows for training, validation and scores. An
 //! [`Assignment`](split::Assignment) states which rows of which trial go to which part.
 //!
-//! **Modules.** [`trial`] reads and writes recordings, [`archive`] folders of Parquet files, and
-//! [`npy`] the header of NumPy's arrays. [`inspect`] finds recordings and their faults. [`rows`]
+//! **Modules.** [`trial`] reads and writes recordings, and [`npy`] the header of NumPy's arrays. [`inspect`] finds recordings and their faults. [`rows`]
 //! and [`split`] make training data. [`trained_rows`] recognises rows that a model was trained on.
 //!
 //! **Units** are SI, whatever the file has: units are converted once, at reading. A value that was
@@ -43,7 +42,6 @@
 #![forbid(unsafe_code)]
 
 pub mod altered;
-pub mod archive;
 pub mod inspect;
 pub mod npy;
 pub mod rows;

@@ -6,11 +6,11 @@
 //! is SI, and values that were not recorded are NaN or a missing column. A [`Table`] holds the same
 //! in the units of the file, for writing it again.
 
+mod bag;
 mod capture;
 mod error;
 mod fleet;
 mod limits;
-mod mat;
 mod moment;
 mod names;
 mod note;
@@ -27,7 +27,8 @@ use std::path::{Path, PathBuf};
 
 use joulebus_plausibility::{Observation, on_charger};
 
-pub use capture::{CaptureRun, each_run, is_capture};
+pub use bag::{BagTrial, BagTrialError};
+pub use capture::is_capture;
 pub use error::TrialError;
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
 pub use limits::MAX_ROWS;
@@ -39,7 +40,6 @@ pub use table::{Column, LeftOut, SourceColumn, Table};
 pub use write::{Form, Row, WriteError};
 
 pub(crate) use capture::try_is_capture;
-pub(crate) use table::Cell;
 
 use table::{Appended, Columns};
 

@@ -10,8 +10,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
-use joulebus_capture_format::import::{Imported, Mapping, RobotReport, Row as ImportedRow};
-use joulebus_dataset::trial::{Column, ColumnMap, Row, Trial, is_capture};
+use joulebus_capture_format::import::{Imported, Mapping};
+use joulebus_dataset::trial::{BagTrial, BagTrialError, Column, ColumnMap, Trial, is_capture};
 use joulebus_files::{disk, ends_in, without_ending};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -32,9 +32,9 @@ use options::ImportArguments;
     joulebus import bag/ -o trials/ --mapping mapping.toml\n  \
     joulebus import trials/*.csv.gz -o trials.mcap\n  \
     joulebus import captures/fleet.mcap -o trials/\n\n\
-    A bag of rosbag2 is an .mcap or .db3 file, or a folder with the files of one bag. A .db3 file \
-    needs the program joulebus-rosbag. From a bag, the verb reads sensor_msgs/BatteryState, \
-    geometry_msgs/Twist, TwistStamped and nav_msgs/Odometry, encoded as cdr. Without options every \
+    A bag of rosbag2 is an .mcap file, or a folder with the files of one bag. In Python, \
+    joulebus.read_bag also reads .db3 files and bags of ROS 1. From a bag, the verb reads \
+    sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and nav_msgs/Odometry, encoded as cdr. Without options every \
     battery topic is a robot. From a capture of joulebus, it reads the samples of each robot. Data \
     that the file does not have is missing in the result, never 0. Unusable data is named and \
     counted.\n\
@@ -88,20 +88,12 @@ struct Recording {
     /// Time of its first row, Unix ns, if the recording has it.
     start_unix_ns: Option<u64>,
     trial: Trial,
-    /// Powers that its messages had, and that were left out.
-    left_out: usize,
 }
 
-impl Recording {
-    /// The readings that are on the charger, though no message says so.
-    fn by_sign(&self) -> Option<String> {
-        let (by_sign, of) = (self.left_out, self.trial.rows());
-        (by_sign > 0).then(|| {
-            format!(
-                "{by_sign} of {of} readings are on the charger by the sign of their power at rest, \
-                 which no message says: their power is no consumption, and unknown"
-            )
-        })
+impl From<BagTrial> for Recording {
+    fn from(found: BagTrial) -> Self {
+        let BagTrial { name, id, start_unix_ns, trial, .. } = found;
+        Self { name, id, is_of_bag: true, start_unix_ns: Some(start_unix_ns), trial }
     }
 }
 
@@ -166,7 +158,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// A name without directory and extensions.
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
-    let endings = ["mcap", "db3", "npy", "csv.gz", "csv"];
+    let endings = ["mcap", "npy", "csv.gz", "csv"];
     let stem = endings.iter().find_map(|ending| without_ending(&name, ending));
     stem.unwrap_or(&name).to_owned()
 }
@@ -181,11 +173,11 @@ fn read_bag(
         bag::read(path, &stem(path), mapping).with_context(named)?;
     for robot in &mut imported.robots {
         let mut notes = Vec::new();
-        for found in runs(path, robot) {
+        for found in BagTrial::runs(path, robot) {
             match found {
-                Ok(recording) => {
-                    notes.extend(recording.by_sign());
-                    recordings.push(recording);
+                Ok(found) => {
+                    notes.extend(found.by_sign());
+                    recordings.push(found.into());
                 }
                 Err(error) => left_out.push(format!("{}: {error}", robot.name)),
             }
@@ -193,71 +185,6 @@ fn read_bag(
         robot.notes.extend(notes);
     }
     Ok(Source { file: named(), imported: Some(imported), trial: None, left_out })
-}
-
-/// The recordings of a robot: one for each run of the recorder's clock.
-fn runs<'a>(
-    path: &'a Path,
-    robot: &'a RobotReport,
-) -> impl Iterator<Item = anyhow::Result<Recording>> + 'a {
-    let ends = robot.runs_from.iter().copied();
-    let starts = std::iter::once(0).chain(ends.clone());
-    let ends = ends.chain([robot.rows.len()]);
-    starts.zip(ends).zip(1..).map(|((from, to), run)| {
-        let rows = robot.rows.get(from..to).unwrap_or_default();
-        let mut recording = recording(path, robot, rows)?;
-        if run > 1 {
-            recording.name = format!("{}_run_{run}", recording.name);
-            recording.id = None;
-        }
-        Ok(recording)
-    })
-}
-
-/// A recording that would teach nothing.
-const WITHOUT_POWER: &str = "no reading has a power that it consumes: each is on the charger, or \
-    its current is not measured. Record the robot while it drives, with a driver that measures the \
-    current";
-
-fn recording(path: &Path, robot: &RobotReport, rows: &[ImportedRow]) -> anyhow::Result<Recording> {
-    let Some(first) = rows.first() else {
-        bail!("no row of it can be used");
-    };
-    if rows.iter().all(|row| row.power_w.is_nan()) {
-        bail!(WITHOUT_POWER);
-    }
-    let start_ns = first.time_ns;
-    let known = rows.iter().filter(|row| row.power_w.is_finite()).count();
-    let charged = rows.iter().enumerate().filter(|(_, row)| row.on_charger);
-    let charged: Vec<usize> = charged.map(|(at, _)| at).collect();
-    let rows = rows.iter().map(|row| Row {
-        timestamp_s: (row.time_ns - start_ns) as f64 / 1e9,
-        values: [
-            f64::NAN,
-            row.v_mps,
-            row.omega_radps,
-            row.x_m,
-            row.y_m,
-            row.theta_rad,
-            row.voltage_v,
-            row.current_a,
-            row.power_w,
-            row.v_measured_mps,
-            row.omega_measured_radps,
-            row.soc,
-        ],
-    });
-    let trial = Trial::from_bag(path, &robot.name, rows, &charged, robot.is_turned)?;
-    let power_w = trial.column(Column::Power).unwrap_or_default();
-    let kept = power_w.iter().filter(|power_w| power_w.is_finite()).count();
-    Ok(Recording {
-        name: robot.name.clone(),
-        id: robot.id,
-        is_of_bag: true,
-        start_unix_ns: Some(start_ns),
-        left_out: known - kept,
-        trial,
-    })
 }
 
 /// The trials of a dataset with one robot, or of our capture with any number.
@@ -297,7 +224,7 @@ fn read_trials(
             (true, run) => format!("{}_robot_{robot}_run_{run}", stem(path)),
         };
         if trial.column(Column::Power).is_none() {
-            source.left_out.push(format!("{name}: {WITHOUT_POWER}"));
+            source.left_out.push(format!("{name}: {}", BagTrialError::WithoutPower));
             continue;
         }
         recordings.push(Recording {
@@ -305,7 +232,6 @@ fn read_trials(
             id: robot.parse().ok().filter(|_| from_capture && *run == 1),
             is_of_bag: false,
             start_unix_ns: None,
-            left_out: 0,
             trial,
         });
     }

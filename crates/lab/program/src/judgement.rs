@@ -252,19 +252,6 @@ fn together<'a>(
     together
 }
 
-/// Shows what is implausible in trials that are kept as they are.
-pub(crate) fn warned<'a>(
-    mut found: Vec<Vec<Implausible>>,
-    trials: impl IntoIterator<Item = &'a Trial>,
-) -> Vec<Judged> {
-    found.push(together(&found, trials));
-    let judged = AcceptArguments::default().gather(found.into_iter());
-    for finding in &judged {
-        log_line(&format!("warning: {}", finding.line()));
-    }
-    judged
-}
-
 /// The limits of a platform's readings and commands.
 pub(crate) fn limits(platform: &Platform) -> Limits {
     Limits {

@@ -10,7 +10,6 @@ mod calibrate;
 mod config_init;
 mod data;
 mod eval;
-mod export;
 mod import;
 mod judgement;
 mod mission;
@@ -46,7 +45,6 @@ struct Cli {
 enum Command {
     Import(import::Args),
     Data(data::Args),
-    Export(export::Args),
     Train(train::Args),
     Analyze(analyze::Args),
     Eval(eval::Args),
@@ -91,7 +89,6 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
     match command {
         Command::Import(args) => import::run(args, output),
         Command::Data(args) => data::run(args, output),
-        Command::Export(args) => export::run(args, output),
         Command::Train(args) => train::run(args, output),
         Command::Analyze(args) => analyze::run(args, output),
         Command::Eval(args) => eval::run(args, output),

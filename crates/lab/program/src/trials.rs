@@ -3,9 +3,7 @@
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use joulebus_config::Config;
-use joulebus_dataset::archive::{is_archive, listings};
 use joulebus_dataset::trial::{ColumnMap, Table, Trial};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::log_line;
@@ -257,16 +255,8 @@ pub(crate) fn read_one(file: &Path, map: &ColumnMap) -> anyhow::Result<Trial> {
     Ok(Table::only_of(file, map)?.into_trial()?)
 }
 
-/// The recordings in a directory and those below it, sorted by name. Those of an archive are in the
-/// order of their export.
+/// The recordings in a directory and those below it, sorted by name.
 pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
-    let failed = || format!("cannot read the directory {}", directory.display());
-    if is_archive(directory) {
-        let files = listings(directory).with_context(failed)?;
-        if !files.is_empty() {
-            return Ok(files);
-        }
-    }
     find_recordings(&[directory.to_owned()])
 }
 

@@ -58,7 +58,7 @@ mod _native {
     use crate::questions::{QuestionPorts, acknowledge};
     #[cfg(feature = "lab")]
     #[pymodule_export]
-    use crate::recordings::{CaptureRows, read_trials, trial_rows, write_trial};
+    use crate::recordings::{CaptureRows, read_bag, read_trials, trial_rows, write_trial};
     #[cfg(feature = "lab")]
     #[pymodule_export]
     use crate::training::train_rows;

@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
 use bytemuck::cast_slice;
+use joulebus_capture_format::import::{CurrentSign, Mapping, import};
 use joulebus_capture_format::{Entry, Frame, Message, MessageKind, ReadError, Reader};
-use joulebus_dataset::inspect::{Implausible, Limits, judge, judge_together};
+use joulebus_dataset::inspect::{Implausible, Limits, judge, judge_from, judge_together};
 use joulebus_dataset::rows::trial_rows as rows_of;
-use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Row, Trial, TrialError};
+use joulebus_dataset::trial::{BagTrial, Column, ColumnMap, MappedColumn, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
-use joulebus_publisher::plausibility::Kind;
+use joulebus_publisher::plausibility::{Kind, Source};
 use joulebus_wire::{
     Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Outlooks, Samples,
 };
@@ -25,6 +26,11 @@ use crate::array::{Doubles, Ids, array, shape_error};
 use crate::error::{RecordingError, of_file};
 
 type Floats<'py> = Bound<'py, PyArrayDyn<f32>>;
+/// A trial: name of the robot, and its columns.
+type Named<'py> = (Option<String>, Bound<'py, PyDict>);
+
+/// Maximum size of a bag's mapping, bytes.
+const MAX_MAPPING_BYTES: u64 = 4 << 20;
 
 /// The readable channels of a capture.
 const READABLE: [Readable; 5] = [
@@ -396,7 +402,7 @@ pub(crate) fn read_trials<'py>(
     path: PathBuf,
     reading: Given,
     name: Option<PathBuf>,
-) -> PyResult<Vec<(Option<String>, Bound<'py, PyDict>)>> {
+) -> PyResult<Vec<Named<'py>>> {
     let reading = Reading::new(reading)?;
     let trials = py.detach(|| match name {
         None => Trial::read_mapped(&path, &reading.map),
@@ -410,6 +416,64 @@ pub(crate) fn read_trials<'py>(
     py.detach(|| reading.judge_trials(&trials))?;
     let named = |trial: &Trial| Ok((trial.robot_name().map(str::to_owned), columns(py, trial)?));
     trials.iter().map(named).collect()
+}
+
+/// The trials of a bag of ROS 2 in MCAP, as of [`read_trials`], and what of it could not be used.
+/// `bag`: the path that names it, and the name of a robot without a namespace.
+#[pyfunction]
+pub(crate) fn read_bag<'py>(
+    py: Python<'py>,
+    path: PathBuf,
+    bag: (PathBuf, String),
+    mapping: Option<PathBuf>,
+    reading: Given,
+) -> PyResult<(Vec<Named<'py>>, Option<String>)> {
+    let (bag, name) = bag;
+    let (_, current, _) = &reading;
+    let sign = current.as_deref().map(|sign| match sign {
+        "discharge-positive" => CurrentSign::DischargePositive,
+        // Another one is refused below.
+        _ => CurrentSign::DischargeNegative,
+    });
+    let reading = Reading::new(reading)?;
+    let refused = |error: &dyn std::fmt::Display| {
+        RecordingError::new_err(format!("{}: {error}", bag.display()))
+    };
+    let mut own = match mapping {
+        None => Mapping::default(),
+        Some(path) => {
+            let text = joulebus_files::read_to_string(&path, MAX_MAPPING_BYTES);
+            let text = text.map_err(|error| of_file(&path, &error))?;
+            let parsed = text.parse::<Mapping>();
+            parsed.map_err(|error| PyValueError::new_err(format!("{}: {error}", path.display())))?
+        }
+    };
+    if let Some(sign) = sign {
+        own.set_current(sign);
+    }
+    own.check().map_err(|error| PyValueError::new_err(error.to_string()))?;
+    let opened = joulebus_files::open(&path).map_err(|error| of_file(&path, &error))?;
+    let imported = py.detach(|| import(opened, &name, &own)).map_err(|error| refused(&error))?;
+    let (mut found, mut left_out) = (Vec::new(), String::new());
+    for robot in &imported.robots {
+        for trial in BagTrial::runs(&bag, robot) {
+            match trial {
+                Ok(trial) => found.push(trial),
+                Err(error) => left_out += &format!("\nleft out   {}: {error}", robot.name),
+            }
+        }
+    }
+    let is_whole = imported.is_whole() && left_out.is_empty();
+    let lost = (!is_whole).then(|| imported.to_string().trim_end().to_owned() + &left_out);
+    if found.is_empty() {
+        return Err(refused(&format!("nothing could be used\n{}", lost.unwrap_or_default())));
+    }
+    let judged =
+        found.iter().flat_map(|one| judge_from(Source::Bag, &one.trial, &Limits::default()));
+    let judged: Vec<Implausible> = judged.collect();
+    reading.judge(&judged, found.iter().map(|one| &one.trial))?;
+    let named = |one: &BagTrial| Ok((Some(one.name.clone()), columns(py, &one.trial)?));
+    Ok((found.iter().map(named).collect::<PyResult<_>>()?, lost))
 }
 
 /// The columns of a trial in SI units.

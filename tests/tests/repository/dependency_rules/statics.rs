@@ -16,7 +16,6 @@ const LISTED: &[(&str, &str)] = &[
     ("bus/src/os/process_id.rs KNOWN", "a fork section"),
     ("c/src/abi/predictor.rs OPEN", "a fork section"),
     ("c/src/handles.rs THREADS", "an atomic"),
-    ("dataset/src/archive/quiet.rs IS_WRAPPED", "an atomic"),
     ("predictor/src/gelu.rs ERF", "constant"),
     ("predictor/src/gelu.rs TANH", "constant"),
     ("program/src/logging.rs TAP", "set by programs before they log, and by no library"),

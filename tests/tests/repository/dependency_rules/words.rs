@@ -101,21 +101,6 @@ fn only_the_format_of_captures_uses_mcap() {
 }
 
 #[test]
-fn only_archives_of_datasets_use_parquet() {
-    for member in members() {
-        let found = places(
-            &member.directory.join("src"),
-            &["parquet::"],
-            &["schema", "read", "write"]
-                .map(|file| format!("dataset/src/archive/{file}.rs"))
-                .each_ref()
-                .map(String::as_str),
-        );
-        assert_eq!(found, Vec::<String>::new());
-    }
-}
-
-#[test]
 fn no_program_reads_pickles() {
     let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
     for member in members() {

@@ -160,6 +160,14 @@ impl FromStr for Mapping {
 }
 
 impl Mapping {
+    /// Sets the sign of the current of every robot.
+    pub fn set_current(&mut self, sign: CurrentSign) {
+        self.current = sign;
+        for robot in &mut self.robots {
+            robot.current = sign;
+        }
+    }
+
     /// Checks every number.
     ///
     /// # Errors

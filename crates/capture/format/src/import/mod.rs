@@ -85,7 +85,7 @@ const MAX_MESSAGE_BYTES: usize = 64 << 20;
 ///
 /// # Errors
 /// The message cannot be unpacked, or is far too long.
-pub fn unpacked(data: &[u8]) -> io::Result<Cow<'_, [u8]>> {
+fn unpacked(data: &[u8]) -> io::Result<Cow<'_, [u8]>> {
     if !data.starts_with(ZSTD_MAGIC) {
         return Ok(Cow::Borrowed(data));
     }

@@ -7,7 +7,6 @@ use std::path::{Path, PathBuf};
 
 use joulebus_files::{ends_in, foreign};
 
-use crate::archive::{is_archive, listings};
 use crate::trial::{Form, is_capture, try_is_capture};
 
 /// Recordings found.
@@ -15,7 +14,7 @@ use crate::trial::{Form, is_capture, try_is_capture};
 pub struct Found {
     /// Recordings in the order of the arguments. Those of a directory are sorted by name.
     pub files: Vec<PathBuf>,
-    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz`, `.mat` or a capture, ignored.
+    /// Other files in the directories: not `.npy`, `.csv`, `.csv.gz` or a capture, ignored.
     pub others: Vec<PathBuf>,
     /// Files named more than once. Each is used once.
     pub repeated: Vec<PathBuf>,
@@ -47,7 +46,7 @@ pub enum FindError {
         source: io::Error,
     },
     /// A directory without recordings.
-    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mat, .mcap of joulebus, archives){other}", path = path.display())]
+    #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus){other}", path = path.display())]
     NoRecordings {
         /// The directory.
         path: PathBuf,
@@ -80,8 +79,7 @@ impl FindError {
 }
 
 /// Recordings named by the arguments: files, directories (searched recursively), and patterns
-/// (`runs/**/*.npy`). An archive yields its listings, in the order of the exported recordings. A
-/// file named explicitly is included whatever its extension.
+/// (`runs/**/*.npy`). A file named explicitly is included whatever its extension.
 ///
 /// # Errors
 /// [`FindError`]: a path does not exist or cannot be read, or a directory or pattern yields
@@ -117,7 +115,10 @@ fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
     let (before, others) = (found.files.len(), found.others.len());
     walk(path, found)?;
     if found.files.len() == before {
-        let other = found.others[others..].iter().find_map(|file| {
+        // In what an earlier release exported, listings stand before the Parquet files.
+        let mut others: Vec<&PathBuf> = found.others[others..].iter().collect();
+        others.sort_by_key(|file| !ends_in(file, "parquet"));
+        let other = others.into_iter().find_map(|file| {
             let kind = foreign::of_file(file)?;
             Some(format!("; {} is {kind}", file.display()))
         });
@@ -164,31 +165,20 @@ fn with_any_case(pattern: &str) -> String {
     before.to_owned() + &letters.collect::<String>()
 }
 
-/// True if a file of a directory is a recording. Its name decides (`.parquet` belongs to an
-/// archive's partitions), for an `.mcap` also its first record, because those of other programs
+/// True if a file of a directory is a recording. Its name decides, for an `.mcap` also its first record, because those of other programs
 /// have to be converted. A regular file that is gone by now, or cannot be read, is one: its reader
 /// reports it.
 fn is_recording(path: &Path, metadata: &Metadata) -> bool {
     if metadata.is_file() {
-        return has_ending(path) || try_is_capture(path).unwrap_or(true);
+        return Form::new(path).is_some() || try_is_capture(path).unwrap_or(true);
     }
     // A link, perhaps.
-    (has_ending(path) && path.is_file()) || is_capture(path)
-}
-
-/// True if a file is named as a recording that is no capture.
-fn has_ending(path: &Path) -> bool {
-    let others = ["parquet", "mat"];
-    Form::new(path).is_some() || others.iter().any(|ending| ends_in(path, ending))
+    (Form::new(path).is_some() && path.is_file()) || is_capture(path)
 }
 
 /// Symbolic links to directories are not followed, so the walk terminates.
 fn walk(directory: &Path, found: &mut Found) -> Result<(), FindError> {
     let failed = |source| io_error(directory, source);
-    if is_archive(directory) {
-        found.files.extend(listings(directory).map_err(failed)?);
-        return Ok(());
-    }
     let mut entries = Vec::new();
     for entry in fs::read_dir(directory).map_err(failed)? {
         entries.push(entry.map_err(failed)?.path());
@@ -218,8 +208,8 @@ mod tests {
     #[test]
     fn folders_and_patterns_have_recordings_with_an_ending_in_any_case() {
         let folder = tempfile::tempdir().unwrap();
-        let names = ["A.CSV", "B.Npy", "C.csv.GZ", "D.MAT", "E.PARQUET", "f.csv"];
-        for name in names.iter().chain(&["G.TXT"]) {
+        let names = ["A.CSV", "B.Npy", "C.csv.GZ", "f.csv"];
+        for name in names.iter().chain(&["D.MAT", "E.PARQUET", "G.TXT"]) {
             fs::write(folder.path().join(name), "").unwrap();
         }
         let found = |argument: &Path| {
@@ -246,11 +236,29 @@ mod tests {
     }
 
     #[test]
+    fn a_folder_that_an_earlier_release_exported_is_refused_with_the_way() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, bytes) in [
+            ("_joulebus/archive.json", &b"{\"format\":\"joulebus archive\"}"[..]),
+            ("_joulebus/000000.recording", b"{\"schema\":1}"),
+            ("robot=7/000000-0000.parquet", b"PAR1\x15\x04\x15"),
+        ] {
+            let path = folder.path().join(name);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, bytes).unwrap();
+        }
+        let refused = find(&[folder.path()]).unwrap_err().to_string();
+        for part in ["000000-0000.parquet is a Parquet file", "joulebus.read_table"] {
+            assert!(refused.contains(part), "{refused}");
+        }
+    }
+
+    #[test]
     fn a_recording_that_is_gone_after_the_first_look_is_left_to_its_reader() {
         let folder = tempfile::tempdir().unwrap();
         let metadata = fs::symlink_metadata(tempfile::NamedTempFile::new().unwrap()).unwrap();
         for (name, expected) in
-            [("a.csv", true), ("a.npy", true), ("a.mat", true), ("a.mcap", true), ("a.txt", false)]
+            [("a.csv", true), ("a.npy", true), ("a.mat", false), ("a.mcap", true), ("a.txt", false)]
         {
             assert_eq!(is_recording(&folder.path().join(name), &metadata), expected, "{name}");
         }

@@ -8,7 +8,6 @@
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufWriter, Read as _, Write as _};
-use std::ops::ControlFlow;
 use std::os::unix::fs::FileExt as _;
 use std::path::Path;
 use std::sync::Arc;
@@ -17,9 +16,8 @@ use joulebus_capture_format::{Frame, ReadError, Reader};
 use joulebus_wire::{Sample, Samples, sample_flag as flag};
 
 use super::TrialError;
-use super::limits::{InMemory, MAX_ROWS, MCAP_MAGIC};
+use super::limits::{InMemory, MCAP_MAGIC};
 use super::table::{Cell, Column, Table, Take};
-use crate::archive::RowStamp;
 
 /// Bytes within which the first record of a capture names its writer.
 const HEAD_BYTES: u64 = 64;
@@ -43,58 +41,16 @@ pub(crate) fn try_is_capture(path: &Path) -> io::Result<bool> {
     Ok(head.starts_with(MCAP_MAGIC) && head.windows(name.len()).any(|at| at == name))
 }
 
-/// One run of a robot's source: samples whose time advances, without a discontinuity.
-#[derive(Debug)]
-pub struct CaptureRun {
-    /// Name of the fleet.
-    pub fleet: String,
-    /// The rows of the run. The robot's name is its id, after the fleet's name if the capture has
-    /// several.
-    pub table: Table,
-    /// Exact integers of each row.
-    pub stamps: Vec<RowStamp>,
-}
-
-impl CaptureRun {
-    /// The rows, of which those on the charger have no power that flows into the battery.
-    fn consumption(mut self) -> Table {
-        self.table.leave_out_charging(self.stamps.iter().map(|stamp| stamp.flags));
-        self.table
-    }
-}
-
-/// A table for each robot and run, in SI units converted to those of files.
+/// Calls `take` with a table for each run of a robot's source (samples whose time advances, without
+/// a discontinuity), in SI units converted to those of files: by fleet, robot and time. The robot's
+/// name is its id, after the fleet's name if the capture has several. Rows on the charger have no
+/// power that flows into the battery. Only one run and a fixed number of samples are in memory at a
+/// time. The others wait in a temporary file.
 pub(super) fn read(
     path: &Path,
     in_memory: InMemory,
     take: &mut Take<'_>,
 ) -> Result<(), TrialError> {
-    let taken = each_run_in(path, in_memory, |run| match take(run.consumption()) {
-        ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(None),
-    });
-    // None: no further table is wanted.
-    taken.or_else(|error: Option<TrialError>| error.map_or(Ok(()), Err))
-}
-
-/// Calls `take` with each run of a capture: by fleet, robot and time. A run of more than
-/// [`MAX_ROWS`] rows is several. Only one run and a fixed number of samples are in memory at a
-/// time. The others wait in a temporary file.
-///
-/// # Errors
-/// [`TrialError`], and those of `take`.
-pub fn each_run<E: From<TrialError>>(
-    path: &Path,
-    take: impl FnMut(CaptureRun) -> Result<(), E>,
-) -> Result<(), E> {
-    each_run_in(path, InMemory::parts(MAX_ROWS), take)
-}
-
-fn each_run_in<E: From<TrialError>>(
-    path: &Path,
-    in_memory: InMemory,
-    mut take: impl FnMut(CaptureRun) -> Result<(), E>,
-) -> Result<(), E> {
     let refused = |detail: String| TrialError::Capture { path: path.to_owned(), detail };
     let mut store = collect(path, in_memory)?;
     let several_fleets = {
@@ -116,14 +72,16 @@ fn each_run_in<E: From<TrialError>>(
                 continue;
             }
             found += 1;
-            let (mut table, stamps) = table(path, &name, &samples)?;
+            let mut table = table(path, &name, &samples)?;
             table.is_part = is_part;
-            let fleet = fleet.to_string();
-            take(CaptureRun { fleet, table, stamps })?;
+            table.leave_out_charging(samples.iter().map(|sample| sample.flags));
+            if take(table).is_break() {
+                return Ok(());
+            }
         }
     }
     match found {
-        0 => Err(refused("no robot has two samples in a row".to_owned()).into()),
+        0 => Err(refused("no robot has two samples in a row".to_owned())),
         _ => Ok(()),
     }
 }
@@ -147,14 +105,13 @@ fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
             let source = (header.source_id, header.source_epoch);
             let is_same = sources.insert(robot.clone(), source) == Some(source);
             let goes_on = is_same && !sample.has(flag::DISCONTINUITY);
-            let kept = Recorded { sample, unix_ns: entry.log_time_ns };
             let run = store.run(robot, goes_on, in_memory.part_rows);
             // Ingest refuses a time that does not advance.
             let is_first = store.runs[run].rows == 0 && !store.runs[run].goes_on;
             if !is_first && sample.stamp_ns <= store.runs[run].stamp_ns {
                 continue;
             }
-            store.push(run, kept).map_err(|error| refused(spilled(&error)))?;
+            store.push(run, sample).map_err(|error| refused(spilled(&error)))?;
             if store.runs[run].rows > in_memory.max_rows {
                 return Err(TrialError::TooManyRows {
                     path: path.to_owned(),
@@ -194,15 +151,8 @@ fn spilled(error: &io::Error) -> String {
 /// A robot: its fleet and id.
 type Robot = (Arc<str>, u32);
 
-/// A sample, and when it was recorded.
-#[derive(Clone, Copy)]
-struct Recorded {
-    sample: Sample,
-    unix_ns: u64,
-}
-
-/// Bytes of a [`Recorded`] in the temporary file.
-const RECORDED_BYTES: usize = size_of::<Sample>() + size_of::<u64>();
+/// Bytes of a sample in the temporary file.
+const SAMPLE_BYTES: usize = size_of::<Sample>();
 /// Samples in memory before they go to the temporary file: 75 MB.
 const MAX_PENDING: usize = 1 << 20;
 
@@ -222,7 +172,7 @@ struct Store {
 struct Run {
     /// Positions of samples in the temporary file, and their numbers.
     blocks: Vec<(u64, usize)>,
-    pending: Vec<Recorded>,
+    pending: Vec<Sample>,
     rows: usize,
     /// Stamp of the last sample, also of the run before that this one goes on with.
     stamp_ns: u64,
@@ -252,11 +202,11 @@ impl Store {
         self.runs.len() - 1
     }
 
-    fn push(&mut self, run: usize, recorded: Recorded) -> io::Result<()> {
+    fn push(&mut self, run: usize, sample: Sample) -> io::Result<()> {
         let run = &mut self.runs[run];
         run.rows += 1;
-        run.stamp_ns = recorded.sample.stamp_ns;
-        run.pending.push(recorded);
+        run.stamp_ns = sample.stamp_ns;
+        run.pending.push(sample);
         self.pending += 1;
         match self.pending >= MAX_PENDING {
             true => self.spill(),
@@ -276,10 +226,9 @@ impl Store {
                 continue;
             }
             run.blocks.push((self.written_bytes, run.pending.len()));
-            for Recorded { sample, unix_ns } in std::mem::take(&mut run.pending) {
+            for sample in std::mem::take(&mut run.pending) {
                 out.write_all(bytemuck::bytes_of(&sample))?;
-                out.write_all(&unix_ns.to_ne_bytes())?;
-                self.written_bytes += RECORDED_BYTES as u64;
+                self.written_bytes += SAMPLE_BYTES as u64;
             }
         }
         out.flush()?;
@@ -290,21 +239,16 @@ impl Store {
     }
 
     /// The samples of a run, which is then empty.
-    fn samples(&mut self, run: usize) -> io::Result<Vec<Recorded>> {
+    fn samples(&mut self, run: usize) -> io::Result<Vec<Sample>> {
         let Run { blocks, mut pending, rows, .. } = std::mem::take(&mut self.runs[run]);
         let mut samples = Vec::with_capacity(rows);
         for (place, count) in blocks {
-            let mut bytes = vec![0; count * RECORDED_BYTES];
+            let mut bytes = vec![0; count * SAMPLE_BYTES];
             if let Some(file) = &self.file {
                 file.read_exact_at(&mut bytes, place)?;
             }
-            samples.extend(bytes.chunks_exact(RECORDED_BYTES).map(|bytes| {
-                let (sample, unix_ns) = bytes.split_at(size_of::<Sample>());
-                Recorded {
-                    sample: bytemuck::pod_read_unaligned(sample),
-                    unix_ns: bytemuck::pod_read_unaligned(unix_ns),
-                }
-            }));
+            let samples_of = bytes.chunks_exact(SAMPLE_BYTES);
+            samples.extend(samples_of.map(bytemuck::pod_read_unaligned::<Sample>));
         }
         samples.append(&mut pending);
         Ok(samples)
@@ -312,18 +256,13 @@ impl Store {
 }
 
 /// The rows of one run. There are at least two samples.
-fn table(
-    path: &Path,
-    name: &str,
-    samples: &[Recorded],
-) -> Result<(Table, Vec<RowStamp>), TrialError> {
+fn table(path: &Path, name: &str, samples: &[Sample]) -> Result<Table, TrialError> {
     let mut table =
         Table { path: path.to_owned(), robot_name: Some(name.to_owned()), ..Table::default() };
     let start_ns = start_ns(samples);
     let mut command: Option<&Sample> = None;
     let mut stamp_ns = start_ns;
-    let mut stamps = Vec::with_capacity(samples.len());
-    for (Recorded { sample, unix_ns }, row) in samples.iter().zip(1..) {
+    for (sample, row) in samples.iter().zip(1..) {
         let cell = Cell { path, row };
         table.push_time(cell, stamp_ns.saturating_sub(start_ns) as f64 * 1e-9)?;
         let known = |flag, value: f32, from: Option<&Sample>| match from {
@@ -343,32 +282,25 @@ fn table(
         ] {
             table.push(cell, column, column.recorded(value))?;
         }
-        stamps.push(RowStamp {
-            unix_ns: *unix_ns,
-            stamp_ns,
-            measured_ns: sample.measured_ns,
-            seq: sample.seq,
-            flags: sample.flags,
-        });
         command = Some(sample);
         stamp_ns = sample.stamp_ns;
     }
-    Ok((table, stamps))
+    Ok(table)
 }
 
 /// Time of the first row: when its reading was measured, if that is within the step before the
 /// first sample, else a median step before it.
-fn start_ns(samples: &[Recorded]) -> u64 {
+fn start_ns(samples: &[Sample]) -> u64 {
     let mut steps: Vec<u64> = samples
         .windows(2)
         .map(|pair| {
-            let [before, after] = [pair[0].sample.stamp_ns, pair[1].sample.stamp_ns];
+            let [before, after] = [pair[0].stamp_ns, pair[1].stamp_ns];
             after.saturating_sub(before)
         })
         .collect();
     steps.sort_unstable();
     let median_ns = steps.get(steps.len() / 2).copied().unwrap_or(1);
-    let Some(Recorded { sample: first, .. }) = samples.first() else {
+    let Some(first) = samples.first() else {
         return 0;
     };
     let is_new = first.has(flag::POWER) && !first.has(flag::HELD);

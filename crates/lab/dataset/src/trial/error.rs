@@ -29,9 +29,8 @@ pub enum TrialError {
     },
     /// The file has another format.
     #[error(
-        "{path}: found {found}, expected a .npy array of shape (n, 11), a CSV, plain or .gz, a \
-            capture \
-         (.mcap), or an archive of `joulebus export`",
+        "{path}: found {found}, expected a .npy array of shape (n, 11), a CSV, plain or .gz, or a \
+            capture (.mcap)",
         path = path.display()
     )]
     Kind {
@@ -68,7 +67,7 @@ pub enum TrialError {
     #[error(
         "{path}: more than {allowed} rows, which this verb has in memory at the same time. Split \
             the recording (`data check`, \
-         `train`, `eval`, `analyze`, `config init` and `export` read it in parts)",
+         `train`, `eval`, `analyze` and `config init` read it in parts)",
         path = path.display()
     )]
     TooManyRows {
@@ -207,14 +206,6 @@ pub enum TrialError {
         /// The file.
         path: PathBuf,
         /// The problem with its remedy.
-        detail: String,
-    },
-    /// A file of an archive could not be read.
-    #[error("{path}: {detail}", path = path.display())]
-    Archive {
-        /// The file.
-        path: PathBuf,
-        /// The problem with the expected value and the remedy.
         detail: String,
     },
     /// A file that is read a second time has other contents than before.

@@ -9,8 +9,7 @@ use joulebus_files::foreign;
 use super::limits::{GZIP_MAGIC, InMemory, MCAP_MAGIC};
 use super::names::ColumnMap;
 use super::table::Take;
-use super::{Table, Trial, TrialError, capture, mat, npy, text};
-use crate::archive;
+use super::{Table, Trial, TrialError, capture, npy, text};
 
 impl Table {
     /// Reads the table of a file with one robot, as [`Trial::read`] does.
@@ -85,9 +84,6 @@ impl Table {
         in_memory: InMemory,
         take: &mut Take<'_>,
     ) -> Result<(), TrialError> {
-        if archive::is_listing(path) {
-            return archive::each_table(path, take);
-        }
         let io = TrialError::io(path);
         let mut file = joulebus_files::open(path).map_err(io)?;
         let mut head = Vec::new();
@@ -100,12 +96,6 @@ impl Table {
             npy::read(path, file, map, in_memory, take)
         } else if head.starts_with(MCAP_MAGIC) {
             capture::read(path, in_memory, take)
-        } else if head.starts_with(mat::MAGIC) {
-            mat::read(path, file, map, in_memory, take)
-        } else if head.starts_with(archive::MAGIC) {
-            // Whether it wants more makes no difference.
-            let _ = take(archive::table(path)?.0);
-            Ok(())
         } else {
             let file_bytes = file.metadata().map_err(io)?.len();
             let zipped = head.starts_with(GZIP_MAGIC).then_some(file_bytes);

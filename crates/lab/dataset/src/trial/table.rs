@@ -7,13 +7,12 @@ use std::path::{Path, PathBuf};
 
 use joulebus_plausibility::is_charge;
 use joulebus_wire::sample_flag;
-use serde::{Deserialize, Serialize};
 
 use super::error::TrialError;
 use super::limits::{InMemory, MAX_FILE_ROWS, MAX_ROBOTS};
 
 /// A column of a trial, without robot and time.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Column {
     /// Phase of the experiment, a number.
     Phase,
@@ -119,7 +118,7 @@ impl Column {
 }
 
 /// A column of a CSV that was read.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SourceColumn {
     /// The quantity that it holds.
     pub column: Column,
@@ -195,7 +194,7 @@ const MIN_SPARSE: usize = 10;
 const MAX_SHARED: f64 = 0.05;
 
 /// Lines of a CSV that are no whole rows, and were left out on request.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LeftOut {
     /// Their number.
     pub lines: usize,

@@ -40,11 +40,8 @@ pub fn open_recordings(
     map: &ColumnMap,
     rows_in_memory: u64,
 ) -> Result<Vec<Recording>, TrialError> {
-    let mut places = Vec::with_capacity(files.len());
-    for (id, path) in files {
-        let found = Stored::find(path, map)?;
-        places.extend(found.into_iter().map(|place| (*id, place)));
-    }
+    let places: Vec<(u32, Stored)> =
+        files.iter().map(|(id, path)| (*id, Stored::new(path, map))).collect();
     let left = AtomicU64::new(rows_in_memory);
     let mut recordings = Vec::with_capacity(places.len());
     for group in in_groups(&places, |(_, place)| place.most_rows()) {
@@ -75,7 +72,7 @@ fn read(id: u32, place: &Stored, left: &AtomicU64) -> Result<Vec<Recording>, Tri
         });
     })?;
     let mut named = Vec::with_capacity(recordings.len());
-    let several = recordings.len() > 1 || place.is_one_of_several();
+    let several = recordings.len() > 1;
     // Keep all robots of a file: otherwise it would be read once for each.
     let mut waits = waits.filter(|_| recordings.len() == 1);
     for mut recording in recordings {

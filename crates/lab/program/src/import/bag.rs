@@ -1,26 +1,21 @@
-//! Bags of rosbag2: one file, or a folder with the files of a bag that was split. SQLite files are
-//! turned into MCAP by the program `joulebus-rosbag`.
+//! Bags of rosbag2: one file, or a folder with the files of a bag that was split.
 
-use std::env;
 use std::ffi::OsStr;
 use std::fs::{self, File};
-use std::io::{self, Read as _, Seek as _};
+use std::io::{Read as _, Seek as _};
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
 
-use anyhow::{Context as _, bail};
+use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::import::{Imported, Mapping, import_files};
 use joulebus_capture_format::scan::Scan;
 use joulebus_dataset::trial::is_capture;
 use joulebus_files::{ends_in, without_ending};
-use joulebus_program::exit::INCOMPLETE;
 
-use joulebus_program::installed::find_program;
-
-/// The program that reads SQLite files.
-const READER: &str = "joulebus-rosbag";
 /// Maximum size of `metadata.yaml`, bytes. It has some hundred a topic.
 const MAX_METADATA_BYTES: u64 = 16 << 20;
+/// Refusal of a file that rosbag2 wrote as SQLite.
+const OF_SQLITE: &str = "a bag of SQLite. Convert it with `ros2 bag convert` or \
+    `rosbags-convert`, or read it with `joulebus.read_bag` in Python";
 
 /// A bag that was read.
 #[derive(Debug)]
@@ -44,11 +39,7 @@ pub(super) fn read(path: &Path, name: &str, mapping: &Mapping) -> anyhow::Result
     let paths = if path.is_dir() { files_of(path, &mut left_out)? } else { vec![path.to_owned()] };
     let mut files = Vec::new();
     for part in &paths {
-        let opened = match ends_in(part, "db3") {
-            true => convert(part, &mut left_out),
-            false => open_mcap(part),
-        };
-        match opened {
+        match open_mcap(part) {
             Ok(file) => files.push((part.display().to_string(), file)),
             // The other files are read.
             Err(error) if paths.len() > 1 => left_out.push(format!("{error:#}")),
@@ -66,6 +57,9 @@ pub(super) fn read(path: &Path, name: &str, mapping: &Mapping) -> anyhow::Result
 fn open_mcap(path: &Path) -> anyhow::Result<File> {
     let named = || path.display().to_string();
     let mut file = joulebus_files::open(path).with_context(named)?;
+    if ends_in(path, "db3") {
+        return Err(anyhow!(OF_SQLITE)).with_context(named);
+    }
     Scan::new(&mut file).with_context(named)?;
     file.rewind().with_context(named)?;
     Ok(file)
@@ -81,7 +75,10 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
         if let Some(unpacked) = unpacked(&name) {
             // Beside it, it is read already.
             if !folder.join(unpacked).exists() {
-                left_out.push(format!("{name}: is compressed. First `zstd -d {name}`"));
+                left_out.push(format!(
+                    "{name}: is compressed. First `zstd -d {name}`, or read the bag with \
+                     `joulebus.read_bag` in Python"
+                ));
             }
         } else if ends_in(&path, "mcap") && is_capture(&path) {
             left_out.push(format!("{name}: is a capture of joulebus. Import it by its own name"));
@@ -101,7 +98,7 @@ fn files_of(folder: &Path, left_out: &mut Vec<String>) -> anyhow::Result<Vec<Pat
     files.sort();
     if files.is_empty() {
         let why = left_out.first().map_or_else(String::new, |why| format!(" ({why})"));
-        bail!("{}: no .db3 or .mcap file is in this folder{why}", named());
+        bail!("{}: no .mcap file is in this folder{why}", named());
     }
     Ok(files)
 }
@@ -128,45 +125,6 @@ fn listed_files(folder: &Path) -> Vec<String> {
     // Older ones name the folder as well.
     let own = names.filter_map(|name| Path::new(name).file_name().and_then(OsStr::to_str));
     own.map(str::to_owned).collect()
-}
-
-/// Turns an SQLite file into an MCAP file that has no name, so that nothing is left of it however
-/// this process ends.
-fn convert(bag: &Path, left_out: &mut Vec<String>) -> anyhow::Result<File> {
-    let named = bag.display().to_string();
-    let program = find_program(READER).with_context(|| named.clone())?;
-    let failed = || format!("cannot make a temporary file in {}", env::temp_dir().display());
-    let mut out = tempfile::tempfile().with_context(failed)?;
-    let own = out.try_clone().with_context(failed)?;
-    let mut command = Command::new(&program);
-    command.args(["--exit-with-stdin", "-o", "-", "--"]).arg(bag);
-    // Its input closes when this process ends.
-    command.stdin(Stdio::piped()).stdout(own).stderr(Stdio::piped());
-    let ended = command.spawn().and_then(output_of);
-    let ended = ended.with_context(|| format!("cannot run {}", program.display()))?;
-    let message = String::from_utf8_lossy(&ended.stderr);
-    let lines = message.lines().filter(|line| !line.trim().is_empty());
-    match ended.status.code() {
-        Some(0) => {}
-        Some(code) if code == i32::from(INCOMPLETE) => {
-            left_out.extend(lines.map(|line| format!("{named}: {line}")));
-        }
-        _ => {
-            let why: Vec<&str> = lines.map(|line| line.trim_start_matches("error: ")).collect();
-            let why = why.join("; ");
-            bail!("{named}: {READER} ended with {}: {why}", ended.status);
-        }
-    }
-    out.rewind().with_context(failed)?;
-    Ok(out)
-}
-
-/// Waits for a process, whose input stays open until it has ended.
-fn output_of(mut child: Child) -> io::Result<Output> {
-    let input = child.stdin.take();
-    let ended = child.wait_with_output();
-    drop(input);
-    ended
 }
 
 #[cfg(test)]

@@ -67,13 +67,10 @@ impl ImportArguments {
             }
         };
         if let Some(sign) = current {
-            mapping.current = match sign {
+            mapping.set_current(match sign {
                 Sign::DischargeNegative => CurrentSign::DischargeNegative,
                 Sign::DischargePositive => CurrentSign::DischargePositive,
-            };
-            for robot in &mut mapping.robots {
-                robot.current = mapping.current;
-            }
+            });
         }
         if let Some(clock) = self.time {
             mapping.time = match clock {

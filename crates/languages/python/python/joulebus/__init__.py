@@ -57,6 +57,7 @@ from ._native import (
     __version__,
 )
 from . import models
+from .bags import read_bag
 from .demonstration import Demo, demo
 from .figures import Figure
 from .lab import Analysis, Evaluation, Report, Simulation, Training, analyze, evaluate, report, simulate, train
@@ -110,6 +111,7 @@ __all__ = [
     "models",
     "read",
     "read_arrays",
+    "read_bag",
     "read_frames",
     "read_table",
     "read_trials",

@@ -140,6 +140,9 @@ _Reading = tuple[list[str], str | None, list[str]]
 def read_trials(
     path: _Path, reading: _Reading, name: _Path | None = None
 ) -> list[tuple[str | None, dict[str, NDArray[np.float64]]]]: ...
+def read_bag(
+    path: _Path, bag: tuple[_Path, str], mapping: _Path | None, reading: _Reading
+) -> tuple[list[tuple[str | None, dict[str, NDArray[np.float64]]]], str | None]: ...
 def write_trial(path: _Path, robot: str, columns: dict[str, NDArray[np.float64]], accepted: list[str]) -> None: ...
 def trial_rows(
     columns: dict[str, NDArray[np.float64]], accepted: list[str]

@@ -2,7 +2,6 @@
 
 mod fleet;
 mod forms;
-mod mat;
 mod parts;
 mod read;
 mod real;

@@ -266,9 +266,12 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     let files = Files::new();
     let tar = [vec![b'a'; 257], b"ustar\0".to_vec()].concat();
     for (bytes, what, remedy) in [
-        (&b"MATLAB 7.3 MAT-file, Platform: posix"[..], "MATLAB", "writematrix"),
+        (&b"MATLAB 7.3 MAT-file, Platform: posix"[..], "MATLAB", "joulebus.read_table"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "MATLAB", "scipy.io.loadmat"),
+        (b"PAR1\x15\x04\x15", "Parquet", "pandas.read_parquet"),
+        (b"SQLite format 3\0\x10", "SQLite", "joulebus.read_bag"),
         (b"\x89HDF\r\n\x1a\n\0", "HDF5", "h5py"),
-        (b"#ROSBAG V2.0\n\x45\0\0\0", "bag of ROS 1", "rosbags-convert"),
+        (b"#ROSBAG V2.0\n\x45\0\0\0", "bag of ROS 1", "joulebus.read_bag"),
         (b"ULog\x01\x12\x35\x01\0\0", "ULog", "ulog2csv"),
         (b"ARROW1\0\0\x10\0\0\0", "Feather", "read_feather"),
         (b"\x28\xb5\x2f\xfd\x04\x58", "zstd", "zstd -d"),
