@@ -40,7 +40,7 @@
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/service.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/tutorial/operate.md
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/measured/tick.md
-//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/threads.md
+//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/the-tick.md#parallel-ticks-use-rayons-pool
 //! [5]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/standby.md
 #![forbid(unsafe_code)]
 

@@ -47,7 +47,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/recordings.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/scanner.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/captures.md#our-own-scanner-reads-captures
 #![forbid(unsafe_code)]
 
 mod attachments;

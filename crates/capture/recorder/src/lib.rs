@@ -37,7 +37,7 @@
 //! **In the book**: [record everything, and replay it][1], [the recorder polls][2], [limits][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/recorder.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/captures.md#the-recorder-polls-and-writes-causes-before-effects
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/limits.md
 #![forbid(unsafe_code)]
 

@@ -45,8 +45,8 @@
 //! [the same bits, live and offline][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/tick-journal.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/determinism.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/captures.md#a-journal-of-ticks-and-keyframes-makes-a-capture-verifiable
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/the-tick.md#the-same-samples-give-the-same-bits-live-and-offline
 #![forbid(unsafe_code)]
 
 mod assemble;

@@ -116,7 +116,7 @@ fn help_and_usage_errors_need_no_executable() {
         ("serve --http --format csv", 2, "csv went: the verb `cat`"),
         ("cat run.mcap --topics x", 2, "cat went: `mcap cat FILE --json`"),
         ("serve --port 0 --foxglove", 2, "--port went: captures open in Foxglove"),
-        ("bench wait", 2, "wait went: docs/decisions/waiting.md"),
+        ("bench wait", 2, "wait went: docs/decisions/shared-memory-processes.md"),
     ] {
         let ended = installed.joulebus("", words);
         assert_eq!(code(&ended), exit, "{words}");

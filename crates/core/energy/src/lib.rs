@@ -46,7 +46,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/energy.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/outlooks.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plan-energy.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plans-energy.md#the-energy-of-a-plan-is-a-level-times-a-command-model
 #![forbid(unsafe_code)]
 
 mod calibration;

@@ -49,8 +49,8 @@
 //! of 512 robots][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/online-forecasts.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/determinism.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/tiles.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/the-tick.md#the-same-samples-give-the-same-bits-live-and-offline
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/the-tick.md#state-lies-in-blocks-of-sixteen-robots-and-ticks-process-tiles-of-512
 #![forbid(unsafe_code)]
 
 mod alarms;

@@ -42,7 +42,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/models.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/models.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/kernels.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/the-tick.md#four-implementations-of-the-network-one-result
 
 mod card;
 mod check;

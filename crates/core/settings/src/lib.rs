@@ -42,7 +42,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/limits.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/config.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/crates-interfaces-the-build.md#one-file-for-all-processes-and-one-table-of-its-keys
 #![forbid(unsafe_code)]
 
 mod admission;

@@ -31,7 +31,7 @@
 //!
 //! **In the book**: [how forecasters are scored][1], [a benchmark of energy forecasting][2].
 //!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/scoring.md
+//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/training-evaluation.md#all-forecasters-are-scored-on-the-same-rows-with-intervals-over-blocks
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/measured/benchmark.md
 #![forbid(unsafe_code)]
 

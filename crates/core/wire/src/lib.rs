@@ -22,7 +22,7 @@
 //! **In the book**: [layout of shared memory][1], [a channel is a type][2], [alarms][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/crates/languages/c/include/joulebus.h
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/channel.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/crates-interfaces-the-build.md#a-channel-is-a-type
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/alarms.md
 #![forbid(unsafe_code)]
 

@@ -19,7 +19,7 @@
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/watch.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/http.md
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/alarms.md
-//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/polling.md
+//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/shared-memory-processes.md#programs-that-show-something-now-and-then-poll
 #![forbid(unsafe_code)]
 
 mod ahead;

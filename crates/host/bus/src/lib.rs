@@ -44,8 +44,8 @@
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/crates/languages/c/include/joulebus.h
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/iceoryx2.md
-//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/cleanup.md
-//! [5]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/waiting.md
+//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/shared-memory-processes.md#every-member-cleans-up-and-the-kernel-reports-deaths
+//! [5]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/shared-memory-processes.md#wait-with-one-ppoll-not-with-iceoryx2s-waitset
 #![deny(unsafe_code)]
 
 mod adopt;

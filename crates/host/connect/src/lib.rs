@@ -24,7 +24,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plausibility.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/forecasts-batteries-alarms.md#findings-of-sources-reach-readers-by-a-file-not-by-shared-memory
 //! [4]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/troubleshooting.md
 #![forbid(unsafe_code)]
 

@@ -58,7 +58,7 @@ const GONE: &[(&str, &str, &str)] = &[
     (
         "BENCHMARK",
         "wait",
-        "docs/decisions/waiting.md states how the worker waits, and `bench latency` measures it",
+        "docs/decisions/shared-memory-processes.md states how the worker waits, and `bench latency` measures it",
     ),
 ];
 

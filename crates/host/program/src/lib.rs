@@ -24,7 +24,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/programs.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/programs.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/crates-interfaces-the-build.md#one-program-for-recordings-and-models-and-options-as-data
 #![forbid(unsafe_code)]
 
 pub mod config_file;

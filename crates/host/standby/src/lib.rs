@@ -25,7 +25,7 @@
 //! shared memory][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/standby.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/standby.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/several-hosts.md#only-the-lease-holder-publishes-judged-by-its-own-clock
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
 #![forbid(unsafe_code)]
 

@@ -38,7 +38,7 @@
 //! alarms][3], [a benchmark][4].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/resample-and-split.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/scoring.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/training-evaluation.md#all-forecasters-are-scored-on-the-same-rows-with-intervals-over-blocks
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/calibrate-alarms.md
 //! [4]: https://github.com/joulebus/joulebus/blob/main/docs/measured/benchmark.md
 #![forbid(unsafe_code)]

@@ -31,7 +31,7 @@
 //! simulated robots][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/measured/mission.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/mission.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plans-energy.md#a-mission-is-judged-by-stranded-robots-and-finished-tasks
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/plant.md
 #![forbid(unsafe_code)]
 

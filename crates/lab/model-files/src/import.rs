@@ -323,9 +323,5 @@ fn is_contradicted(stated: &score::Score, other: &score::Score) -> bool {
 
 /// A card for a network under evaluation.
 fn placeholder(feature_set: FeatureSet) -> ModelCard {
-    ModelCard::new(TrainingRange {
-        feature_set,
-        min: [0.0; INPUTS],
-        max: [0.0; INPUTS],
-    })
+    ModelCard::new(TrainingRange { feature_set, min: [0.0; INPUTS], max: [0.0; INPUTS] })
 }

@@ -32,7 +32,7 @@
 //! **In the book**: [train, compare and export models][1], [imported networks][2].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/models.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/imported-models.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/models-reports.md#networks-of-others-are-converted-in-python-as-stated
 #![forbid(unsafe_code)]
 
 mod arrays;

@@ -43,7 +43,7 @@
 //! simulated robots beside the paper][3].
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/report.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/figures.md
+//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/models-reports.md#figures-and-reports-are-data
 //! [3]: https://github.com/joulebus/joulebus/blob/main/docs/measured/plant.md
 #![forbid(unsafe_code)]
 

@@ -31,7 +31,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/plant.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/measured/plant.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plant.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/training-evaluation.md#one-simulated-plant-judged-over-ten-seeds
 #![forbid(unsafe_code)]
 
 pub mod barrier;

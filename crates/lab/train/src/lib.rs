@@ -49,7 +49,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/models.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/models.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/trainer.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/training-evaluation.md#the-trainer-computes-in-single-precision-with-the-same-bits-everywhere
 #![forbid(unsafe_code)]
 
 mod adam;

@@ -39,7 +39,7 @@
 //!
 //! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/ask-the-worker.md
 //! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/questions.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/questions.md
+//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plans-energy.md#a-thread-of-joulebus-run-answers-processes-that-cannot-compute
 #![forbid(unsafe_code)]
 
 mod acknowledgements;
