@@ -697,10 +697,10 @@ mod tests {
         let places = Places::new(&config);
         // The thread that reads the permit has not had a processor since the first one.
         worker.current_permit = Arc::new(CurrentPermit::not_yet());
-        worker.current_permit.begin(&Permit { term: 4, until_ns: Some(1), lease: 9 });
+        worker.current_permit.begin(&Permit { term: 4, until_ns: 1, lease: 9 });
         worker.standby =
             Some(Standby { places: places.clone(), follows: None, renewal: None, is_over: false });
-        let renewed = |term, until_ns| Permit { term, until_ns: Some(until_ns), lease: 9 };
+        let renewed = |term, until_ns| Permit { term, until_ns, lease: 9 };
         renewed(4, u64::MAX - 1).write(&places.permit).unwrap();
         assert!(worker.poll().is_ok());
         for permit in [Some(renewed(4, 2)), Some(renewed(5, u64::MAX - 1)), None] {

@@ -7,7 +7,7 @@ use joulebus_testkit::assert_contains;
 use joulebus_testkit::recordings::shared;
 use serde_json::Value;
 
-use super::fleet::{Exits as _, Fleet, code, done, joulebus, json, output, stderr, stdout};
+use super::fleet::{Exits as _, Fleet, code, done, json, output, stderr, stdout};
 
 const MODELS: [&str; 2] = [
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors"),
