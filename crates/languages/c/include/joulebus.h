@@ -180,7 +180,10 @@
 #define JOULEBUS_ANSWER_LIMITING_LEG 0x10u
 /** turn_back_s is known. */
 #define JOULEBUS_ANSWER_TURN_BACK 0x20u
-/** The plan is longer than the longest horizon whose errors are known. */
+/**
+ * The plan is longer than the longest horizon whose errors are known: its interval and its
+ * probability are extrapolated.
+ */
 #define JOULEBUS_ANSWER_BEYOND_HORIZON 0x40u
 /** The robot's sample is overdue, or came without a reading. */
 #define JOULEBUS_ANSWER_NO_READING 0x80u
