@@ -157,14 +157,18 @@ fn a_robot_whose_sensor_is_stuck_is_never_yes_and_is_ranked_behind_the_others() 
 }
 
 #[test]
-fn an_hour_at_rest_has_an_unknown_probability_and_a_bound_of_what_is_spare() {
+fn an_hour_at_rest_has_a_probability_that_is_extrapolated_and_a_bound_of_what_is_spare() {
     let fleet = fleet();
     let worker = fleet.worker();
     let source = Program::start(fleet.joulebus("publish sim --robots 1"));
     let answered = ask(&fleet, "--robot 0 --idle 3600");
-    assert_eq!(answered["answers"][0]["probability"], Value::Null, "{answered}");
+    let answer = &answered["answers"][0];
+    assert_eq!(answer["caveats"]["beyond_horizon"], true, "{answered}");
+    assert!(answer["probability"].as_f64().unwrap() > 0.9, "{answered}");
+    let [lo_j, hi_j] = ["lo_j", "hi_j"].map(|end| answer["energy"][end].as_f64().unwrap());
+    assert!(hi_j < 1.5 * lo_j, "not what the platform could draw: {answered}");
     let text = stdout(&fleet.output("ask --robot 0 --idle 3600"));
-    for expected in ["unknown probability", "at worst", "upper bound of the energy"] {
+    for expected in ["extrapolated", "at worst", "upper bound of the energy"] {
         assert!(text.contains(expected), "{text}");
     }
     source.end(Signal::INT);
