@@ -356,7 +356,7 @@ fn a_bags_folder_is_read_as_far_as_its_files_are_mcap_and_the_others_are_named_w
 #[test]
 fn a_verb_that_went_is_refused_with_what_takes_its_place() {
     for words in ["export run.mcap --to parquet x", "export", "--format json export --help"] {
-        let refused = run(words.to_owned()).exits(2);
+        let refused = run(words).exits(2);
         assert_contains(&stderr(&refused), ["export went: ", "joulebus.read"]);
     }
 }

@@ -147,12 +147,14 @@ impl CaptureRows {
     }
 }
 
+/// Adds the rows of the robots, or all. Returns the frame's number, and that of the rows.
+type Add = fn(&mut Part, &Message, Option<&HashSet<u32>>) -> Option<(u64, usize)>;
+
 /// A channel whose rows can be read.
 #[derive(Clone, Copy)]
 struct Readable {
     kind: MessageKind,
-    /// Adds the rows of the robots, or all. Returns the frame's number, and that of the rows.
-    add: fn(&mut Part, &Message, Option<&HashSet<u32>>) -> Option<(u64, usize)>,
+    add: Add,
 }
 
 impl Readable {
