@@ -168,7 +168,7 @@ fn an_hour_at_rest_has_a_probability_that_is_extrapolated_and_a_bound_of_what_is
     let [lo_j, hi_j] = ["lo_j", "hi_j"].map(|end| answer["energy"][end].as_f64().unwrap());
     assert!(hi_j < 1.5 * lo_j, "not what the platform could draw: {answered}");
     let text = stdout(&fleet.output("ask --robot 0 --idle 3600"));
-    for expected in ["extrapolated", "at worst", "upper bound of the energy"] {
+    for expected in ["extrapolated", "spare   at least", "upper bound of the energy"] {
         assert!(text.contains(expected), "{text}");
     }
     source.end(Signal::INT);
