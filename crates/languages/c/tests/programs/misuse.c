@@ -258,7 +258,13 @@ static void threads_and_processes(void) {
         HOLDS(!pthread_join(threads[number], NULL));
     }
     in_a_child(&shared);
+/* AddressSanitizer's allocator of GCC before 15 does not release its locks in a child: a fork while
+   another thread allocates can hang there, in memory that is not the library's. */
+#ifndef __SANITIZE_ADDRESS__
     in_children_of_a_busy_process(&shared);
+#else
+    (void)in_children_of_a_busy_process;
+#endif
     /* Nobody has closed or disturbed them. */
     next_frame(shared.subscriber);
     OK(joulebus_publisher_publish(shared.publisher, NULL, 0, 0, NULL));
