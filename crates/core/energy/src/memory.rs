@@ -84,13 +84,17 @@ impl Memory {
         let power = Known::new(groups, POWER);
         let trust = Known::new(groups, TRUST);
         let trusts = |[square, product]: [f32; 2]| trusted(product, square, 1.0);
-        let means = |[weight, sum]: [f32; 2]| sum / weight.max(f32::MIN_POSITIVE);
+        // A damaged file may have a sum without its weight.
+        let means = |quantity: usize, [weight, sum]: [f32; 2]| {
+            let most = MAX[quantity];
+            (sum / weight.max(f32::MIN_POSITIVE)).clamp(-most, most)
+        };
         Self {
             robots: power.sum,
-            power: power.location(groups.each_ref().map(|shown| means(shown[POWER]))),
+            power: power.location(groups.each_ref().map(|shown| means(POWER, shown[POWER]))),
             command_trust: trust.mean(1.0, groups.each_ref().map(|shown| trusts(shown[TRUST]))),
             start_excess: Known::new(groups, START)
-                .mean(0.0, groups.each_ref().map(|shown| means(shown[START]))),
+                .mean(0.0, groups.each_ref().map(|shown| means(START, shown[START]))),
         }
     }
 
@@ -138,7 +142,7 @@ impl Known {
         let mut location = 1.0f32;
         for _ in 0..STEPS {
             let reach = Self::REACH * location;
-            let mut pull = self.missing() * (1.0 - location).clamp(-reach, reach);
+            let mut pull = self.missing() * (1.0 - location).max(-reach).min(reach);
             for group in 0..GROUPS {
                 let apart = (numbers[group] - location).max(-reach).min(reach);
                 pull += self.weights[group] * apart;

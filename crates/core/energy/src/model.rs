@@ -16,6 +16,10 @@ pub const HORIZONS_S: [f32; HORIZONS] = [1.0, 3.0, 10.0, 30.0, 100.0, 300.0];
 /// Half width of the 90 % interval of the mean power between drives, relative, that is assumed at
 /// least.
 const BETWEEN_DRIVES: f32 = 0.08;
+/// Half width, relative, below which quantiles have no shape.
+const LEAST_HALF: f32 = 1e-4;
+/// Quantiles ([`crate::QUANTILES`]) of a normal distribution whose 90 % interval reaches from −1 to 1.
+const NORMAL: [f32; KNOTS] = [-1.4143, -1.0, -0.7791, -0.4101, 0.0, 0.4101, 0.7791, 1.0, 1.4143];
 
 /// The energy model of a platform: fitted by training, stored in the model file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -217,31 +221,30 @@ impl EnergyModel {
     }
 
     /// Quantiles of the error over a duration, moved and stretched so that the 90 % interval has this
-    /// middle and half width, in units of the trained one. Beyond the longest horizon they are
-    /// [wider](EnergyModel::wider).
-    pub(crate) fn errors_within(&self, horizon_s: f32, middle: f32, half: f32) -> [f32; KNOTS] {
-        let errors = self.errors_at(horizon_s);
+    /// middle and half width, in units of the trained one.
+    ///
+    /// Beyond the longest known horizon they are wider. The longer a plan is, the less of it has the
+    /// level that was measured before it. In the end its mean power is that of another drive. So the
+    /// variance between drives is added, in the share of the plan that is beyond the horizon.
+    pub(crate) fn errors_within(&self, duration_s: f32, middle: f32, half: f32) -> [f32; KNOTS] {
+        let longest_s = self.longest_s();
+        let is_beyond = duration_s > longest_s && longest_s > 0.0;
+        let errors = self.errors_at(if is_beyond { longest_s } else { duration_s });
         let (trained_middle, trained_half) = quantiles::middle_and_half(&errors);
         // The trained interval has the trained bits.
         let moved = trained_half * middle;
-        let half = half * self.wider(horizon_s);
-        errors.map(|error| error + moved + (half - 1.0) * (error - trained_middle))
-    }
-
-    /// How many times as wide as at the longest known horizon the errors over a duration are: 1 up
-    /// to that horizon.
-    ///
-    /// The longer a plan is, the less of it has the level that was measured before it. In the end
-    /// its mean power is that of another drive. So the variance between drives is added, in the
-    /// share of the plan that is beyond the horizon.
-    fn wider(&self, duration_s: f32) -> f32 {
-        let longest_s = self.longest_s();
-        if !(longest_s > 0.0 && duration_s > longest_s) {
-            return 1.0;
+        if !is_beyond {
+            return errors.map(|error| error + moved + (half - 1.0) * (error - trained_middle));
         }
-        let (_, half) = quantiles::middle_and_half(&self.errors_at(longest_s));
-        let between = half.max(BETWEEN_DRIVES) / half.max(1e-6);
-        (1.0 + between * between * (1.0 - longest_s / duration_s)).sqrt()
+        let known = half * trained_half;
+        let between = known.max(BETWEEN_DRIVES) * (1.0 - longest_s / duration_s).sqrt();
+        let wide = libm::hypotf(known, between);
+        if trained_half > LEAST_HALF {
+            let factor = wide / trained_half;
+            return errors.map(|error| trained_middle + moved + factor * (error - trained_middle));
+        }
+        // Errors without width have no shape. That of a normal distribution stands for it.
+        NORMAL.map(|part| trained_middle + moved + wide * part)
     }
 
     /// Quantiles of the error at a horizon, linear between the known ones.

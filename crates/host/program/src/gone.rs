@@ -49,6 +49,11 @@ const GONE: &[(&str, &str, &str)] = &[
         "--picture",
         "--format json has the outcome of each mission, and the Python package draws what you like",
     ),
+    (
+        "link",
+        "--take-over",
+        "end the worker that leads, and the lease goes to the next: docs/how-to/standby.md",
+    ),
     ("model import", "--convention", STATED),
     ("model import", "--normalisation", STATED),
     ("model import", "--activation", STATED),

@@ -63,8 +63,15 @@ impl Usage {
         vec![self.per_metre(), lasts, worst::worst_run(&self.runs, &self.speeds)]
     }
 
+    /// Of the runs that moved, as the comparison of runs is. Of all together if none moved a metre by
+    /// itself.
     fn per_metre(&self) -> String {
-        let found = self.sums.wh_per_m();
+        let moved = self.runs.iter().filter(|run| run.sums().wh_per_m().is_finite());
+        let moved: Vec<_> = moved.collect();
+        let found = match moved.len() {
+            0 => self.sums.wh_per_m(),
+            _ => Sums::of(moved.iter().flat_map(|run| &run.steps)).wh_per_m(),
+        };
         if found.is_nan() {
             let mean_w = significant(self.sums.mean_w());
             let why = match self.sums.driven_s > 0.0 {
@@ -83,7 +90,12 @@ impl Usage {
             ends if per_run.len() < MANY_RUNS => format!(" ({} by run)", spanned(ends)),
             ends => format!(" ({} for nine of ten runs)", spanned(ends)),
         };
-        format!("Energy per metre: {} Wh{range}.", significant(found).shown())
+        let left_out = match (moved.len(), self.runs.len()) {
+            (0, _) => String::new(),
+            (moved, runs) if moved == runs => String::new(),
+            (moved, runs) => format!(" Of the {moved} of {runs} runs that moved a metre or more."),
+        };
+        format!("Energy per metre: {} Wh{range}.{left_out}", significant(found).shown())
     }
 
     /// The section.

@@ -653,9 +653,15 @@ impl Crossed {
             seen
         } else if count >= FEWEST_RECORDINGS {
             let freedom = (count - 1) as f64;
-            // As much as at the ends of the 90 % interval of a normal distribution.
-            let factor = another * student(0.95, freedom) / student(0.95, 1e4);
-            seen.map(|error| median + factor * (error - median))
+            // As much wider as Student's distribution is than a normal one.
+            std::array::from_fn(|knot| {
+                let p = f64::from(QUANTILES[knot]);
+                let factor = match knot == KNOTS / 2 {
+                    true => 1.0,
+                    false => another * student(p, freedom) / student(p, 1e4),
+                };
+                median + factor * (seen[knot] - median)
+            })
         } else {
             let of_these: Vec<f64> =
                 self.recordings.iter().filter_map(|of| levels.get(of).copied()).collect();

@@ -29,11 +29,19 @@ pub(crate) struct SavedErrors {
 impl SavedErrors {
     /// True if errors could have led to it.
     pub(crate) fn is_sound(&self) -> bool {
+        /// More than all robots of all ticks can have shown.
+        const MOST: i64 = 1 << 50;
+        let is_number = |number: i64| number.unsigned_abs() < MOST as u64;
+        let is_amount = |number: i64| (0..MOST).contains(&number);
         let mut counted = self.counts.classes.as_flattened().iter();
-        let mut shown = self.counts.groups.as_flattened().as_flattened().iter();
+        let mut pulled = self.counts.pulls.iter();
+        let mut shown = self.counts.groups.as_flattened().iter();
         are_sound(&self.seen)
             && counted.all(|count| (0..1_000_000_000).contains(count))
-            && shown.all(|sum| sum.unsigned_abs() < 1 << 50)
+            && pulled.all(|[last, own, square]| {
+                is_number(*last) && is_number(*own) && is_amount(*square)
+            })
+            && shown.all(|[weight, sum]| is_amount(*weight) && is_number(*sum))
     }
 }
 

@@ -46,6 +46,9 @@ pub(super) fn worst_run(runs: &[Run], speeds: &Speeds) -> String {
     );
     let why = match has_speed {
         true => why(speeds, (&run.steps, value), (steps, theirs)),
+        false if runs.iter().any(|run| run.sums().distance_m > 0.0) => {
+            "Why is not known: fewer than two runs moved a metre.".to_owned()
+        }
         false => "Why is not known: the speeds are not.".to_owned(),
     };
     format!("{what} {why}")
@@ -102,8 +105,8 @@ fn why<'a>(
     let same = used_j / expected_j;
     let share = libm::log(same) / libm::log(ratio);
     let cause = match share {
-        _ if share >= MAIN => "So it is the robot, its load or its ground, not how it was driven.",
-        _ if share <= 1.0 - MAIN => "So it is how it was driven, not the robot or its ground.",
+        _ if share >= MAIN => "So it is mostly the robot, its load or its ground.",
+        _ if share <= 1.0 - MAIN => "So it is mostly how it was driven.",
         _ => "So it is both: the robot, its load or its ground, and how it was driven.",
     };
     let percent = (100.0 * (same - 1.0)).round();
@@ -112,5 +115,9 @@ fn why<'a>(
         _ if percent < 0.0 => format!("it draws {} % less power than they do", -percent),
         _ => "it draws the same power".to_owned(),
     };
-    format!("At the same speeds {same}. {how} {cause}")
+    let compared = match (100.0 * compared_s / time_s).round() {
+        all if all >= 100.0 => String::new(),
+        part => format!(" ({part} % of its time are compared)"),
+    };
+    format!("At the same speeds {same}{compared}. {how} {cause}")
 }

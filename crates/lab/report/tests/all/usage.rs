@@ -246,7 +246,7 @@ fn the_worst_run_is_named_with_the_reason_that_was_planted() {
     says(&dragging, &["Worst run: run 1", "80 % more power", "So it is the robot, its load"]);
     assert_eq!(rows(&dragging, "table-runs")[0]["run"], "run 1");
     let slow = report(&[drive(1.0, 20), drive(1.0, 20), drive(1.0, 95)], None, None);
-    says(&slow, &["Worst run: run 2", "So it is how it was driven"]);
+    says(&slow, &["Worst run: run 2", "So it is mostly how it was driven"]);
     let same = report(&[drive(1.0, 20), drive(1.0, 20)], None, None);
     says(&same, &["It hardly differs from them."]);
     let unknown = |power_w: f64| run(300, move |at| (power_w + (at % 3) as f64, f64::NAN));

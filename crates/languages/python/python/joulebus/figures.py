@@ -159,7 +159,7 @@ def main() -> int:
     parser.add_argument("report", type=Path, help="the report.json of a report")
     parser.add_argument("names", nargs="*", metavar="NAME", help="figures to draw (default: all)")
     parser.add_argument("-o", "--out", type=Path, help="folder (default: figures/ beside the report)")
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     needed("matplotlib", "figures").use("agg")
     try:
         for path in draw(given.report, given.out or given.report.parent / "figures", given.names):
