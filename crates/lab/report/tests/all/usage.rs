@@ -243,7 +243,10 @@ fn the_worst_run_is_named_with_the_reason_that_was_planted() {
         })
     };
     let dragging = report(&[drive(1.0, 20), drive(1.8, 20), drive(1.0, 20)], None, None);
-    says(&dragging, &["Worst run: run 1", "80 % more power", "So it is mostly the robot, its load"]);
+    says(
+        &dragging,
+        &["Worst run: run 1", "80 % more power", "So it is mostly the robot, its load"],
+    );
     assert_eq!(rows(&dragging, "table-runs")[0]["run"], "run 1");
     let slow = report(&[drive(1.0, 20), drive(1.0, 20), drive(1.0, 95)], None, None);
     says(&slow, &["Worst run: run 2", "So it is mostly how it was driven"]);
