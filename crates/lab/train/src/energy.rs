@@ -75,6 +75,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
     let command = CommandFit::new(&all, period_s)?;
     let mean_w = command.model.mean_w.into();
     let mean_share = mean_share(&known, mean_w);
+    let levels = levels(&all, &command);
     let known: Vec<Known> = known
         .iter()
         .zip(HORIZONS_S)
@@ -83,7 +84,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
             Known {
                 added_share: crossed.with.added as f32,
                 weights: origins.weights(&crossed.with).map(|weight| weight as f32),
-                errors: crossed.quantiles(mean_share, mean_w, &levels(&all, &command)),
+                errors: crossed.quantiles(mean_share, mean_w, &levels),
             }
         })
         .collect();
