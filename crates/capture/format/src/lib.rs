@@ -53,6 +53,7 @@
 mod attachments;
 mod chunk;
 mod clock;
+mod definitions;
 pub mod import;
 pub mod inspect;
 mod messages;

@@ -13,6 +13,7 @@ use mcap::records::{MessageHeader, Record, op};
 use mcap::sans_io::linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::chunk::{self, Records};
+use crate::definitions::CHANNELS;
 use crate::scan::{MAX_RECORD_BYTES, max_expanded, parse_record};
 use crate::{Attached, Attachments, DecodeError, Entry, Message, MessageKind};
 
@@ -243,7 +244,7 @@ impl Contents {
                     bytes: data.into_owned(),
                 });
             }
-            Record::Metadata(metadata) => {
+            Record::Metadata(metadata) if metadata.name != CHANNELS => {
                 let records = &mut self.attachments.metadata;
                 records.insert(metadata.name, metadata.metadata);
             }

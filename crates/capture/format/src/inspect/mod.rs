@@ -15,6 +15,7 @@ use std::io::{Read, Seek};
 
 use mcap::records::{Record, op};
 
+use crate::definitions::CHANNELS;
 use crate::scan::{ChunkFrame, Crc, Event, Raw, RecordLocation, Scan, ScanError};
 use channel::Tally;
 pub use channel::{ChannelReport, Sequence};
@@ -233,7 +234,9 @@ impl Inspector {
             }
             Record::Metadata(metadata) => {
                 self.summary.metadata(raw.place.offset, bytes, &metadata.name);
-                if self.metadata.len() < MAX_LISTED_RECORDS {
+                // They tell again what the report says of the channels.
+                let is_listed = metadata.name != CHANNELS;
+                if is_listed && self.metadata.len() < MAX_LISTED_RECORDS {
                     self.metadata
                         .push(MetadataReport { name: metadata.name, entries: metadata.metadata });
                 }

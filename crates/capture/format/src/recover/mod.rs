@@ -12,6 +12,7 @@ use std::io::{self, Read, Seek, SeekFrom, Write};
 use mcap::records::{Channel, Footer, MessageHeader, Metadata, Record, Statistics, op};
 use mcap::{Attachment, Compression, McapError, WriteOptions};
 
+use crate::definitions::{Definitions, SchemaText};
 use crate::scan::{Event, Raw, RecordLocation, Scan, ScanError, kind_name};
 use crate::writer::reason;
 use ledger::Ledger;
@@ -60,15 +61,23 @@ where
     R: Read + Seek,
     W: Write + Seek,
 {
-    let summary = read_summary(&mut input);
-    let (mut scan, not_mcap) = Scan::anyway(input)?;
-    let mut rescue = Rescue {
-        out: Out::Waiting(output),
-        profile: String::new(),
-        ledger: Ledger::default(),
-        summary,
-        known: BTreeMap::new(),
+    let (profile, compression) = beginning(&mut input)?;
+    let summary = match read_summary(&mut input) {
+        Some(summary) => summary,
+        None => told(&mut input)?,
     };
+    let library = concat!("joulebus ", env!("CARGO_PKG_VERSION"), " recover");
+    // Seeking back in a file that could not grow makes the library panic.
+    let writer = WriteOptions::new()
+        .compression(compression)
+        .profile(profile)
+        .library(library)
+        .chunk_size(Some(CHUNK_BYTES))
+        .disable_seeking(true)
+        .create(output)
+        .map_err(failed)?;
+    let (mut scan, not_mcap) = Scan::anyway(input)?;
+    let mut rescue = Rescue { writer, ledger: Ledger::default(), summary, known: BTreeMap::new() };
     if let Some(not_mcap) = &not_mcap {
         rescue.ledger.broken(not_mcap);
         if let Some(skipped) = scan.resume()? {
@@ -95,29 +104,118 @@ where
     }
 }
 
-/// Contents of the summary section, which may be intact where the data section is not.
-#[derive(Default)]
-struct Saved {
-    schemas: BTreeMap<u16, (String, String, Vec<u8>)>,
-    channels: BTreeMap<u16, Channel>,
-    statistics: Option<Statistics>,
-}
-
-/// Reads the summary if it is complete and its checksum is right.
-fn read_summary(input: &mut (impl Read + Seek)) -> Saved {
-    let mut saved = Saved::default();
-    match try_summary(input, &mut saved) {
-        Ok(true) => saved,
-        // Without a summary there is nothing to use, and nothing to report.
-        Ok(false) | Err(_) => Saved::default(),
+/// Calls `take` with every event up to the one for which it is true, whatever the damage.
+fn walk<R: Read + Seek>(
+    mut scan: Scan<R>,
+    mut take: impl FnMut(Event<'_>) -> bool,
+) -> Result<(), ScanError> {
+    loop {
+        match scan.next_event() {
+            Ok(Some(event)) => {
+                if take(event) {
+                    return Ok(());
+                }
+            }
+            Ok(None) => return Ok(()),
+            Err(error @ ScanError::Io { .. }) => return Err(error),
+            Err(_) => {
+                if scan.resume()?.is_none() {
+                    return Ok(());
+                }
+            }
+        }
     }
 }
 
-fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool, ScanError> {
+/// The file's profile, and the compression of its first chunk.
+fn beginning(input: &mut (impl Read + Seek)) -> Result<(String, Option<Compression>), ScanError> {
+    let (mut profile, mut compression) = (String::new(), None);
+    let (mut scan, not_mcap) = Scan::anyway(input)?;
+    if not_mcap.is_some() {
+        scan.resume()?;
+    }
+    walk(scan, |event| match event {
+        Event::ChunkBegins(frame) => {
+            compression = match frame.header.compression.as_str() {
+                "zstd" => Some(Compression::Zstd),
+                "lz4" => Some(Compression::Lz4),
+                _ => None,
+            };
+            true
+        }
+        Event::Record(raw) => {
+            if let Ok(Record::Header(header)) = raw.parse() {
+                profile = header.profile;
+            }
+            false
+        }
+        Event::ChunkEnds { .. } | Event::TooLong { .. } => false,
+    })?;
+    Ok((profile, compression))
+}
+
+/// What is known of a file without its chunks.
+#[derive(Default)]
+struct Summary {
+    definitions: Definitions,
+    statistics: Option<Statistics>,
+}
+
+impl Summary {
+    fn take(&mut self, record: Record<'_>) {
+        match record {
+            Record::Schema { header, data } => {
+                let schema = (header.name, header.encoding, data.into_owned());
+                self.definitions.schemas.insert(header.id, schema);
+            }
+            Record::Channel(channel) => {
+                self.definitions.channels.insert(channel.id, channel);
+            }
+            Record::Statistics(statistics) => self.statistics = Some(statistics),
+            _ => {}
+        }
+    }
+}
+
+/// What the records outside of chunks tell: those of the recorder, and a summary that is whole, at
+/// whatever place.
+fn told(input: &mut (impl Read + Seek)) -> Result<Summary, ScanError> {
+    let (mut told, mut summary) = (Definitions::default(), Summary::default());
+    let mut is_whole = false;
+    let (mut scan, not_mcap) = Scan::anyway(input)?;
+    if not_mcap.is_some() {
+        scan.resume()?;
+    }
+    walk(scan.outside_of_chunks(), |event| {
+        if let Event::Record(raw) = event
+            && let Ok(record) = raw.parse()
+        {
+            match record {
+                Record::Metadata(record) => told.add(&record),
+                Record::Footer(_) => is_whole = raw.crc.is_some_and(|crc| !crc.is_wrong()),
+                record => summary.take(record),
+            }
+        }
+        false
+    })?;
+    let mut whole = if is_whole { summary } else { Summary::default() };
+    whole.definitions.schemas.append(&mut told.schemas);
+    whole.definitions.channels.append(&mut told.channels);
+    Ok(whole)
+}
+
+/// Reads the summary if it is complete, in its place, and its checksum is right. It may be intact
+/// where the data section is not. Without a summary there is nothing to use, and nothing to report.
+fn read_summary(input: &mut (impl Read + Seek)) -> Option<Summary> {
+    try_summary(input).ok().flatten()
+}
+
+fn try_summary(input: &mut (impl Read + Seek)) -> Result<Option<Summary>, ScanError> {
+    let mut saved = Summary::default();
     let io = |source| ScanError::Io { place: RecordLocation { offset: 0, in_chunk: None }, source };
     let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
     let Some(at) = file_bytes.checked_sub(TAIL_BYTES) else {
-        return Ok(false);
+        return Ok(None);
     };
     input.seek(SeekFrom::Start(at)).map_err(io)?;
     let mut tail = [0; TAIL_BYTES as usize];
@@ -125,45 +223,33 @@ fn try_summary(input: &mut (impl Read + Seek), saved: &mut Saved) -> Result<bool
     let Ok(Record::Footer(Footer { summary_start, .. })) =
         mcap::parse_record(op::FOOTER, &tail[9..29])
     else {
-        return Ok(false);
+        return Ok(None);
     };
     if tail[0] != op::FOOTER || summary_start == 0 || summary_start > at {
-        return Ok(false);
+        return Ok(None);
     }
     let (mut scan, _) = Scan::anyway(input)?;
     scan.go_to(summary_start)?;
     while let Some(event) = scan.next_event()? {
         let Event::Record(raw) = event else {
-            return Ok(false);
+            return Ok(None);
         };
         match raw.parse()? {
-            Record::Schema { header, data } => {
-                let schema = (header.name, header.encoding, data.into_owned());
-                saved.schemas.insert(header.id, schema);
+            Record::Footer(_) => {
+                let is_sound = raw.crc.is_none_or(|crc| !crc.is_wrong());
+                return Ok(is_sound.then_some(saved));
             }
-            Record::Channel(channel) => {
-                saved.channels.insert(channel.id, channel);
-            }
-            Record::Statistics(statistics) => saved.statistics = Some(statistics),
-            Record::Footer(_) => return Ok(raw.crc.is_none_or(|crc| !crc.is_wrong())),
-            _ => {}
+            record => saved.take(record),
         }
     }
-    Ok(false)
-}
-
-/// The output file. Its compression is that of the first chunk.
-enum Out<W: Write + Seek> {
-    Waiting(W),
-    Open(Box<mcap::Writer<W>>),
-    Gone,
+    Ok(None)
 }
 
 struct Rescue<W: Write + Seek> {
-    out: Out<W>,
-    profile: String,
+    writer: mcap::Writer<W>,
     ledger: Ledger,
-    summary: Saved,
+    /// It is right where a chunk may be wrong.
+    summary: Summary,
     /// Topics of the channels written so far.
     known: BTreeMap<u16, String>,
 }
@@ -171,47 +257,12 @@ struct Rescue<W: Write + Seek> {
 impl<W: Write + Seek> Rescue<W> {
     fn take(&mut self, event: Event<'_>) -> Result<(), RecoverError> {
         match event {
-            Event::ChunkBegins(frame) => {
-                self.ledger.chunk_begins(&frame);
-                let compression = match frame.header.compression.as_str() {
-                    "zstd" => Some(Compression::Zstd),
-                    "lz4" => Some(Compression::Lz4),
-                    _ => None,
-                };
-                self.writer(compression)?;
-            }
+            Event::ChunkBegins(frame) => self.ledger.chunk_begins(&frame),
             Event::ChunkEnds { frame, crc } => self.ledger.chunk_ends(&frame, crc),
             Event::TooLong { place, opcode, bytes } => self.ledger.too_long(place, opcode, bytes),
             Event::Record(raw) => self.record(&raw)?,
         }
         Ok(())
-    }
-
-    /// The writer. Created on first use.
-    fn writer(
-        &mut self,
-        compression: Option<Compression>,
-    ) -> Result<&mut mcap::Writer<W>, RecoverError> {
-        if let Out::Waiting(_) = self.out {
-            let Out::Waiting(output) = std::mem::replace(&mut self.out, Out::Gone) else {
-                unreachable!("it was created just now");
-            };
-            let library = concat!("joulebus ", env!("CARGO_PKG_VERSION"), " recover");
-            // Seeking back in a file that could not grow makes the library panic.
-            let writer = WriteOptions::new()
-                .compression(compression)
-                .profile(self.profile.as_str())
-                .library(library)
-                .chunk_size(Some(CHUNK_BYTES))
-                .disable_seeking(true)
-                .create(output)
-                .map_err(failed)?;
-            self.out = Out::Open(Box::new(writer));
-        }
-        match &mut self.out {
-            Out::Open(writer) => Ok(writer),
-            Out::Waiting(_) | Out::Gone => Err(failed(McapError::AttemptedWriteAfterFailure)),
-        }
     }
 
     fn record(&mut self, raw: &Raw<'_>) -> Result<(), RecoverError> {
@@ -224,11 +275,6 @@ impl<W: Write + Seek> Rescue<W> {
             }
         };
         match record {
-            Record::Header(header) => {
-                if matches!(self.out, Out::Waiting(_)) {
-                    self.profile = header.profile;
-                }
-            }
             // The summary repeats both. They have already been read.
             Record::Schema { .. } | Record::Channel(_) if self.ledger.is_past_data() => {}
             Record::Message { .. } | Record::Attachment { .. } | Record::Metadata(_)
@@ -237,10 +283,15 @@ impl<W: Write + Seek> Rescue<W> {
                 self.ledger.misplaced(raw.place, raw.opcode);
             }
             Record::Schema { header, data } => {
-                let schema = (header.name, header.encoding, data.into_owned());
+                let schema = self.summary.definitions.schemas.get(&header.id).cloned();
+                let schema =
+                    schema.unwrap_or_else(|| (header.name, header.encoding, data.into_owned()));
                 self.schema(raw.place, header.id, &schema)?;
             }
-            Record::Channel(channel) => self.channel(raw.place, channel)?,
+            Record::Channel(channel) => {
+                let known = self.summary.definitions.channels.get(&channel.id).cloned();
+                self.channel(raw.place, known.unwrap_or(channel))?;
+            }
             Record::Message { header, data } => self.message(raw.place, &header, &data)?,
             Record::Attachment { header, data, .. } => {
                 let attachment = Attachment {
@@ -250,11 +301,11 @@ impl<W: Write + Seek> Rescue<W> {
                     media_type: header.media_type,
                     data,
                 };
-                self.writer(None)?.attach(&attachment).map_err(failed)?;
+                self.writer.attach(&attachment).map_err(failed)?;
                 self.ledger.attachments.recovered += 1;
             }
             Record::Metadata(metadata) => {
-                self.writer(None)?.write_metadata(&metadata).map_err(failed)?;
+                self.writer.write_metadata(&metadata).map_err(failed)?;
                 self.ledger.metadata.recovered += 1;
             }
             Record::MessageIndex(index) => self.ledger.message_index(index.records.len() as u64),
@@ -274,9 +325,9 @@ impl<W: Write + Seek> Rescue<W> {
         &mut self,
         place: RecordLocation,
         id: u16,
-        (name, encoding, data): &(String, String, Vec<u8>),
+        (name, encoding, data): &SchemaText,
     ) -> Result<(), RecoverError> {
-        let added = self.writer(None)?.add_schema_with_id(id, name, encoding, data);
+        let added = self.writer.add_schema_with_id(id, name, encoding, data);
         match refused(added)? {
             None => self.ledger.schema(id),
             Some(why) => self.ledger.schemas.lose(
@@ -291,11 +342,11 @@ impl<W: Write + Seek> Rescue<W> {
     fn channel(&mut self, place: RecordLocation, channel: Channel) -> Result<(), RecoverError> {
         let schema = channel.schema_id;
         if !self.ledger.has_schema(schema)
-            && let Some(saved) = self.summary.schemas.remove(&schema)
+            && let Some(saved) = self.summary.definitions.schemas.get(&schema).cloned()
         {
             self.schema(place, schema, &saved)?;
         }
-        let added = self.writer(None)?.add_channel_with_id(
+        let added = self.writer.add_channel_with_id(
             channel.id,
             schema,
             &channel.topic,
@@ -324,7 +375,7 @@ impl<W: Write + Seek> Rescue<W> {
     ) -> Result<(), RecoverError> {
         let id = header.channel_id;
         if !self.known.contains_key(&id)
-            && let Some(saved) = self.summary.channels.remove(&id)
+            && let Some(saved) = self.summary.definitions.channels.get(&id).cloned()
         {
             self.channel(place, saved)?;
         }
@@ -333,7 +384,7 @@ impl<W: Write + Seek> Rescue<W> {
             return Ok(());
         };
         self.ledger.message(topic);
-        self.writer(None)?.write_to_known_channel(header, data).map_err(failed)
+        self.writer.write_to_known_channel(header, data).map_err(failed)
     }
 
     fn finish(mut self) -> Result<(Recovery, W), RecoverError> {
@@ -341,14 +392,10 @@ impl<W: Write + Seek> Rescue<W> {
         let recovery = self.ledger.clone().settle(statistics.as_ref());
         if !recovery.is_clean() {
             let note = Metadata { name: RECOVERED.to_owned(), metadata: recovery.notes() };
-            self.writer(None)?.write_metadata(&note).map_err(failed)?;
+            self.writer.write_metadata(&note).map_err(failed)?;
         }
-        self.writer(None)?;
-        let Out::Open(mut writer) = self.out else {
-            return Err(failed(McapError::AttemptedWriteAfterFailure));
-        };
-        writer.finish().map_err(failed)?;
-        Ok((recovery, writer.into_inner()))
+        self.writer.finish().map_err(failed)?;
+        Ok((recovery, self.writer.into_inner()))
     }
 }
 

@@ -233,29 +233,12 @@ impl<R: Read + Seek> Chunk<R> {
         HEAD_BYTES + FIXED_BYTES + self.frame.header.compression.len() as u64
     }
 
-    /// Skips the bytes after the chunk's records. If they contain further records, the length is
-    /// wrong.
+    /// Skips the rest of the chunk.
     #[expect(clippy::result_large_err, reason = "the source remains usable")]
     pub(super) fn end(self) -> Result<Source<R>, (Source<R>, ScanError)> {
-        let end = self.frame.offset + self.frame.bytes;
-        let place = self.place();
+        let (place, frame) = (self.place(), self.frame);
         let mut source = self.body.into_source();
-        let rest = end.saturating_sub(source.offset());
-        match follows_wrongly(&mut source, rest) {
-            Ok(false) => {}
-            Ok(true) => {
-                let detail = format!("its length has {rest} bytes too many, which contain records");
-                return Err((source, ScanError::ChunkHeader { place, detail }));
-            }
-            Err(error) => return Err((source, error)),
-        }
-        if end > source.file_bytes() {
-            let missing = Some(end - source.file_bytes());
-            let what = "chunk";
-            let error = ScanError::EndsEarly { place, what, missing };
-            return Err((source, error));
-        }
-        match source.skip(rest) {
+        match ends(&mut source, &frame, place) {
             Ok(()) => Ok(source),
             Err(error) => Err((source, error)),
         }
@@ -264,6 +247,36 @@ impl<R: Read + Seek> Chunk<R> {
     pub(super) fn into_source(self) -> Source<R> {
         self.body.into_source()
     }
+}
+
+/// Reads a chunk's head, and skips its records.
+pub(super) fn pass<R: Read + Seek>(
+    source: &mut Source<R>,
+    head: Head,
+) -> Result<ChunkFrame, ScanError> {
+    let frame = frame(source, head)?;
+    source.skip(frame.header.compressed_size)?;
+    ends(source, &frame, RecordLocation::top(frame.offset))?;
+    Ok(frame)
+}
+
+/// Skips the bytes after a chunk's records. If they contain further records, the length is wrong.
+fn ends<R: Read + Seek>(
+    source: &mut Source<R>,
+    frame: &ChunkFrame,
+    place: RecordLocation,
+) -> Result<(), ScanError> {
+    let end = frame.offset + frame.bytes;
+    let rest = end.saturating_sub(source.offset());
+    if follows_wrongly(source, rest)? {
+        let detail = format!("its length has {rest} bytes too many, which contain records");
+        return Err(ScanError::ChunkHeader { place, detail });
+    }
+    if end > source.file_bytes() {
+        let missing = Some(end - source.file_bytes());
+        return Err(ScanError::EndsEarly { place, what: "chunk", missing });
+    }
+    source.skip(rest)
 }
 
 /// True if a record begins where only padding is allowed.

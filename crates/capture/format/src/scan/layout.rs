@@ -19,7 +19,7 @@ enum Field {
 
 use Field::{Counted, Data, Entries, Fixed, Texts};
 
-/// Fields of the record kinds that contain lengths.
+/// Fields of the record kinds that contain lengths, or are of one length.
 const fn fields(opcode: u8) -> &'static [Field] {
     match opcode {
         op::HEADER => &[Counted, Counted],
@@ -33,14 +33,24 @@ const fn fields(opcode: u8) -> &'static [Field] {
         op::STATISTICS => &[Fixed(42), Entries(10)],
         op::METADATA => &[Counted, Texts],
         op::METADATA_INDEX => &[Fixed(16), Counted],
+        op::DATA_END => &[Fixed(4)],
+        op::SUMMARY_OFFSET => &[Fixed(17)],
         _ => &[],
     }
 }
 
 /// True if the body of a record contains all its fields.
 pub(super) fn fits(opcode: u8, body: &[u8]) -> bool {
+    spare(opcode, body).is_some()
+}
+
+/// Bytes of a record's body after its fields, which later versions of the format may use. `None` if
+/// a field is incomplete.
+pub(super) fn spare(opcode: u8, body: &[u8]) -> Option<usize> {
+    let fields = fields(opcode);
     let mut rest = body;
-    fields(opcode).iter().all(|field| pass(*field, &mut rest).is_some())
+    fields.iter().try_for_each(|field| pass(*field, &mut rest))?;
+    Some(if fields.is_empty() { 0 } else { rest.len() })
 }
 
 /// Skips a field. `None` if it is incomplete.

@@ -114,6 +114,7 @@ pub struct Scan<R> {
     /// Location of the last error, and what is known of its surroundings.
     failed: Option<resume::Failure>,
     file_bytes: u64,
+    passes_chunks: bool,
 }
 
 impl<R> fmt::Debug for Scan<R> {
@@ -167,7 +168,9 @@ impl<R: Read + Seek> Scan<R> {
             not_mcap = Some(ScanError::NotMcap { found });
             failed = Some(resume::Failure { from: 0, search_from: 0, next: Some(MAGIC_BYTES) });
         }
-        let scan = Self { state: State::Top(source), buffer: Vec::new(), failed, file_bytes };
+        let state = State::Top(source);
+        let passes_chunks = false;
+        let scan = Self { state, buffer: Vec::new(), failed, file_bytes, passes_chunks };
         Ok((scan, not_mcap))
     }
 
@@ -175,6 +178,11 @@ impl<R: Read + Seek> Scan<R> {
     #[must_use]
     pub fn file_bytes(&self) -> u64 {
         self.file_bytes
+    }
+
+    /// The same scan without the records of chunks, and without the ends of these.
+    pub(crate) fn outside_of_chunks(self) -> Self {
+        Self { passes_chunks: true, ..self }
     }
 
     /// Continues at `offset`, the start of a record. The checksum of the current section is then
@@ -234,6 +242,13 @@ impl<R: Read + Seek> Scan<R> {
             Err(error) => return Err(self.fail(source, error)),
         };
         match head.opcode {
+            op::CHUNK if self.passes_chunks => match chunk::pass(&mut source, head) {
+                Ok(frame) => {
+                    self.state = State::Top(source);
+                    Ok(Some(Event::ChunkBegins(frame)))
+                }
+                Err(error) => Err(self.fail(source, error)),
+            },
             op::CHUNK => match Chunk::begin(source, head) {
                 Ok(chunk) => {
                     let frame = chunk.frame().clone();
@@ -260,6 +275,7 @@ impl<R: Read + Seek> Scan<R> {
         } else {
             source.skip(HEAD_BYTES).and_then(|()| source.read_up_to(head.bytes, &mut self.buffer))
         };
+        let read = read.and_then(|()| self.check_length(&mut source, head));
         if let Err(error) = read {
             return Err(self.fail(source, error));
         }
@@ -275,6 +291,24 @@ impl<R: Read + Seek> Scan<R> {
         }
         self.state = State::Top(source);
         Ok(Some(Event::Record(Raw { place, opcode: head.opcode, body: &self.buffer, crc: found })))
+    }
+
+    /// A record that is longer than its fields may be one of a later version. Its length is wrong
+    /// if no record follows it.
+    fn check_length(&self, source: &mut Source<R>, head: Head) -> Result<(), ScanError> {
+        let is_too_long = head.bytes > MAX_RECORD_BYTES;
+        let spare = if is_too_long { None } else { layout::spare(head.opcode, &self.buffer) };
+        if !is_too_long && spare.is_none_or(|bytes| bytes == 0) {
+            return Ok(());
+        }
+        let (offset, file_bytes) = (source.offset(), source.file_bytes());
+        let next = source.peek(HEAD_BYTES)?;
+        if next.is_empty() || plausible::fits(offset, next, file_bytes).is_some() {
+            return Ok(());
+        }
+        let detail = format!("its length of {} bytes is wrong: no record follows", head.bytes);
+        let place = RecordLocation::top(head.offset);
+        Err(ScanError::Record { place, what: kind_name(head.opcode), detail })
     }
 
     /// The footer's checksum covers the summary and the footer up to the checksum.

@@ -10,9 +10,11 @@ use std::io::Write;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use mcap::McapError;
 use mcap::records::MessageHeader;
 use mcap::write::NoSeek;
 
+use crate::definitions::{self, ENCODING, SchemaKey};
 use crate::{Attachments, Message, MessageKind};
 pub use error::WriteError;
 pub(crate) use error::reason;
@@ -21,6 +23,9 @@ pub use settings::{CaptureSettings, Preset};
 
 /// Maximum number of channels in a file: their ids are u16, and 0 is unused.
 pub const MAX_CHANNELS: usize = 65_535;
+
+/// Log time after which all channels are told again, ns.
+const TELL_NS: u64 = 60_000_000_000;
 
 /// Log time and publish time of a message, Unix ns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
@@ -40,9 +45,13 @@ pub struct Times {
 pub struct Writer<W: Write> {
     mcap: mcap::Writer<NoSeek<Output<W>>>,
     settings: CaptureSettings,
-    schemas: HashMap<MessageKind, u16>,
+    schemas: HashMap<MessageKind, SchemaKey>,
     channels: HashMap<(MessageKind, u32), Vec<Channel>>,
     opened: usize,
+    /// Number of channels when [`crate::definitions`] told them last. Their ids are 1 and so on.
+    told: usize,
+    /// Log time when all were told.
+    told_ns: u64,
     sequences: Sequences,
     chunk_from_ns: Option<u64>,
     log_ns: u64,
@@ -145,6 +154,8 @@ impl<W: Write> Writer<W> {
             schemas: HashMap::new(),
             channels: HashMap::new(),
             opened: 0,
+            told: 0,
+            told_ns: 0,
             sequences,
             chunk_from_ns: None,
             log_ns: 0,
@@ -228,13 +239,37 @@ impl<W: Write> Writer<W> {
     pub fn flush(&mut self) -> Result<(), WriteError> {
         self.check()?;
         self.chunk_from_ns = None;
-        let flushed = self.mcap.flush();
+        let flushed = self.tell_channels().and_then(|()| self.mcap.flush());
         self.failed = flushed.is_err();
         flushed.map_err(failed)?;
         self.messages += self.open.messages;
         self.encoded += self.open.encoded;
         (self.open.messages, self.open.encoded) = (0, 0);
         self.open.by_channel.clear();
+        Ok(())
+    }
+
+    /// Writes the open chunk, and after it what its channels are, if it opened some or the last
+    /// record of all is [`TELL_NS`] old.
+    fn tell_channels(&mut self) -> Result<(), McapError> {
+        let is_due = self.log_ns.saturating_sub(self.told_ns) >= TELL_NS;
+        if self.opened == self.told && !is_due {
+            return Ok(());
+        }
+        let from = if is_due { 0 } else { self.told };
+        let mut entries = BTreeMap::new();
+        for ((kind, robot), channels) in &self.channels {
+            for channel in channels.iter().filter(|channel| usize::from(channel.id) > from) {
+                entries.extend(self.schemas.get(kind).map(|schema| {
+                    definitions::entry(channel.id, *schema, *kind, &channel.fleet, *robot)
+                }));
+            }
+        }
+        self.mcap.write_metadata(&definitions::record(entries))?;
+        if is_due {
+            self.told_ns = self.log_ns;
+        }
+        self.told = self.opened;
         Ok(())
     }
 
@@ -349,15 +384,15 @@ impl<W: Write> Writer<W> {
             Some(schema) => *schema,
             None => {
                 let data = kind.descriptors();
-                let schema =
-                    self.mcap.add_schema(&kind.schema(), "protobuf", &data).map_err(failed)?;
+                let id = self.mcap.add_schema(&kind.schema(), ENCODING, &data).map_err(failed)?;
+                let schema = SchemaKey { id, crc: crc32fast::hash(&data) };
                 self.schemas.insert(kind, schema);
                 schema
             }
         };
         let topic = kind.topic(fleet, robot);
         let metadata = BTreeMap::from([("fleet".to_owned(), fleet.to_owned())]);
-        let id = self.mcap.add_channel(schema, &topic, "protobuf", &metadata).map_err(failed)?;
+        let id = self.mcap.add_channel(schema.id, &topic, ENCODING, &metadata).map_err(failed)?;
         self.opened += 1;
         let channels = self.channels.entry((kind, robot)).or_default();
         channels.push(Channel {
@@ -370,6 +405,6 @@ impl<W: Write> Writer<W> {
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
-fn failed(error: mcap::McapError) -> WriteError {
+fn failed(error: McapError) -> WriteError {
     WriteError::Failed { reason: reason(&error) }
 }

@@ -6,6 +6,7 @@ mod damage;
 mod damaged;
 #[path = "../fields/mod.rs"]
 mod fields;
+mod heal;
 mod long_files;
 
 use joulebus_testkit::counting;
