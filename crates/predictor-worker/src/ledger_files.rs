@@ -63,8 +63,7 @@ pub enum LedgerFileError {
     /// No existing file is valid.
     #[error(
         "ledger {path:?} is damaged: {reason}. There is no older one that is whole: restore a \
-            copy, or \
-         move the files away to begin a new account"
+            copy, or move the files away to begin a new account"
     )]
     Damaged {
         /// The newest existing file.

@@ -26,8 +26,7 @@ pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
         let why = if why.is_empty() { why } else { format!(": {why}") };
         tracing::warn!(
             "batteries are not saved{why}. A restarted worker takes each for `initial_soc` full. \
-                Set \
-             `ledger.checkpoint` to a file to save them"
+                Set `ledger.checkpoint` to a file to save them"
         );
     }
     None

@@ -62,9 +62,8 @@ pub(super) fn memory(config: &Config, inspection: &Inspection) -> Check {
     };
     let mebi = |bytes: u64| bytes as f64 / f64::from(1 << 20);
     let found = format!(
-        "one more source and planner need {:.1} MiB, {:.1} MiB of {:.1} MiB are free. They need \
-            {} file \
-         descriptors, {} of {} are used",
+        "one more source and planner need {:.1} MiB, {:.1} MiB of {:.1} MiB are free. They need {} \
+            file descriptors, {} of {} are used",
         mebi(capacity.needed_bytes),
         mebi(capacity.free_bytes),
         mebi(capacity.total_bytes),
@@ -283,9 +282,8 @@ pub(super) fn removed_files(removed: &[RemovedFiles]) -> Check {
         processes.len(),
         processes.join("; ")
     );
-    let remedy = "end these processes and start them again. If it happened when a user logged \
-        out, set \
-                  `RemoveIPC=no` in logind.conf, or enable lingering (docs/how-to/removeipc.md)";
+    let remedy = "end these processes and start them again. If it happened when a user logged out, \
+        set `RemoveIPC=no` in logind.conf, or enable lingering (docs/how-to/removeipc.md)";
     Check::new(name, Status::Fail, found, remedy)
 }
 

@@ -141,8 +141,7 @@ impl fmt::Display for RecordReport {
             writeln!(
                 out,
                 "snapshot: {files} files were asked for. The last {span_s:.1} s in memory, \
-                    {messages} \
-                 messages, are in none of them"
+                    {messages} messages, are in none of them"
             )?;
         }
         if let Some(failure) = &self.failure {

@@ -1,5 +1,4 @@
-//! The layouts as data. The C header and NumPy's types are made of
-//! them.
+//! The layouts as data. The C header and NumPy's types are made of them.
 
 use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,

@@ -38,8 +38,7 @@ struct WorkerFeed {
     reported: Worker,
 }
 
-/// The highest term in which candidates have sent. It fences off the leaders of earlier
-/// terms.
+/// The highest term in which candidates have sent. It fences off the leaders of earlier terms.
 #[derive(Debug, Clone, Copy, Default)]
 struct HighestTerm {
     term: u64,

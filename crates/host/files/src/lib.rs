@@ -64,8 +64,7 @@ pub enum Refused {
     /// The path has a file that no program of joulebus has written.
     #[error(
         "begins with {found:?}, which is not what would be written there, and is not overwritten. \
-            Move it away, or name \
-         another file"
+            Move it away, or name another file"
     )]
     Foreign {
         /// Its first bytes.

@@ -100,11 +100,10 @@ pub(super) fn summary(draws: &[Numbers]) -> Vec<String> {
     let [papers_mean, papers_std] = paper::R2_ROBOTS;
     vec![
         format!(
-            "The forecast that the worker publishes reaches R² {} and a mean absolute error of {} mW \
-             on seven simulated robots that are in no training data (mean ± deviation of {seeds} \
-             draws). Persistence, the last reading again, reaches {} and {} mW. Its squared error \
-             is \
-             smaller than persistence's on {ours} of {all} robots.",
+            "The forecast that the worker publishes reaches R² {} and a mean absolute error of {} \
+             mW on seven simulated robots that are in no training data (mean ± deviation of \
+             {seeds} draws). Persistence, the last reading again, reaches {} and {} mW. Its \
+             squared error is smaller than persistence's on {ours} of {all} robots.",
             r2(PUBLISHED),
             mae(PUBLISHED),
             r2(PERSISTENCE),

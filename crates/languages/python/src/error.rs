@@ -51,8 +51,7 @@ pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
     match error {
         joulebus_consumer::ReadError::Schema { .. } => format!(
             "{error}. This package is joulebus {}: `joulebus --version` on the worker's side says \
-                which release to \
-             install",
+                which release to install",
             env!("CARGO_PKG_VERSION")
         ),
         _ => error.to_string(),

@@ -521,8 +521,7 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
         remove(messages, |message| message.order().is_some_and(|order| order.run == EPOCH + 1));
     }),
     ("the recording twice", Verified, |messages| messages.extend(messages.clone())),
-    // Keyframes.
-    // What a platform remembers goes on from there, so the next ones differ.
+    // Keyframes. What a platform remembers goes on from there, so the next ones differ.
     ("a bit of the first keyframe", Different, |messages| forged_keyframe(messages, 0)),
     ("a bit of a keyframe", Different, |messages| forged_keyframe(messages, KEYFRAME_EVERY)),
     ("a bit of the last keyframe", Different, |messages| forged_keyframe(messages, 160)),

@@ -116,8 +116,7 @@ impl Worker {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(crate) struct LeaderStatus {
     pub(crate) worker: Worker,
-    /// Term in which the worker leads, higher than all earlier terms. 0 if it is the only
-    /// worker.
+    /// Term in which the worker leads, higher than all earlier terms. 0 if it is the only worker.
     pub(crate) term: u64,
     /// Highest term that the sender knows of, its own or another's. A candidate or a store that
     /// lost its terms learns it from here.

@@ -106,8 +106,7 @@ impl fmt::Display for SimulateReport {
         writeln!(
             out,
             "the seven robots came no closer than {:.3} m. Barriers changed the motion in {:.0} % \
-                of \
-             the steps, {} times all stopped",
+                of the steps, {} times all stopped",
             self.closest_m,
             100.0 * self.avoiding_share,
             self.stopped_steps

@@ -130,8 +130,7 @@ pub unsafe extern "C" fn joulebus_predictor_rollout(
         let model = model(predictor)?;
         if model.needs_freshness() {
             let text = "the network reads the age of readings, which a rollout is not told. Train \
-                one without: \
-                        `joulebus train … --features full`";
+                one without: `joulebus train … --features full`";
             return Err(Failure::new(joulebus_error::Model, text));
         }
         // SAFETY: the caller's promises, in joulebus.h.
