@@ -16,7 +16,8 @@ use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use tempfile::TempDir;
 
-/// The programs in the README, in pages of docs and in the crates' READMEs are compiled unchanged.
+/// The programs in these pages are compiled unchanged. READMEs that are a crate's documentation are
+/// tested there.
 #[cfg(doctest)]
 mod readme {
     macro_rules! compile {
@@ -24,23 +25,8 @@ mod readme {
     }
     compile! {
         Joulebus = "../../README.md",
-        Wire = "../../crates/core/wire/README.md",
-        Predictor = "../../crates/core/predictor/README.md",
-        Config = "../../crates/host/config/README.md",
-        Publisher = "../../crates/publisher/README.md",
-        Consumer = "../../crates/consumer/README.md",
-        Planner = "../../crates/planning/planner/README.md",
-        PlanServer = "../../crates/planning/plan-server/README.md",
         Planning = "../../docs/how-to/ask.md",
         Queries = "../../docs/how-to/ask-the-worker.md",
-        PredictorWorker = "../../crates/predictor-worker/README.md",
-        Capture = "../../crates/capture/format/README.md",
-        Dataset = "../../crates/lab/dataset/README.md",
-        Plant = "../../crates/lab/plant/README.md",
-        Sim = "../../crates/lab/sim/README.md",
-        Train = "../../crates/lab/train/README.md",
-        Eval = "../../crates/lab/eval/README.md",
-        ModelFiles = "../../crates/lab/model-files/README.md",
     }
 }
 

@@ -1,44 +1,4 @@
-//! Records fleets in captures: one thread drains shared memory into a bounded queue, another
-//! encodes, compresses and writes.
-//!
-//! ```no_run
-//! use std::path::PathBuf;
-//!
-//! use joulebus_capture_recorder::{Options, Recorder, Target, attach, host_clock};
-//! use joulebus_config::Config;
-//!
-//! let config = Config::load("configs/fleet.toml")?;
-//! let (clock, target) = (host_clock(), Target::File(PathBuf::from("lab.mcap")));
-//! let files = attach(std::slice::from_ref(&config), clock)?;
-//! let recorder = Recorder::start(&config, Vec::new(), clock, files, target, &Options::default())?;
-//! std::thread::sleep(std::time::Duration::from_secs(60));
-//! let summary = recorder.finish();
-//! println!("{} messages in {} bytes", summary.messages(), summary.bytes());
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
-//!
-//! The program `joulebus` has this crate as `joulebus record`, and [`replay`] as `joulebus replay`.
-//!
-//! **Three types to know.** A [`Recorder`] is a running recording. [`Options`] states what is
-//! recorded, and into how large files. A [`Summary`] has the files, and what was lost.
-//!
-//! **Slow and full disks.** A slow disk fills the queue. When it is full, messages are dropped and
-//! counted, without effect on the worker and its planners. A full disk ends the capture with an
-//! error, and the written part can be recovered.
-//!
-//! **Several fleets.** A recorder joins one fleet. Others are read from streams: captures that
-//! other processes write to a pipe. [`replay`] sends recorded frames again.
-//!
-//! **Units** are ns and bytes.
-//!
-//! **Errors** of the start state the remedy ([`StartError`], [`AttachError`]). Later ones do not
-//! stop the program: [`Summary::failure`] has them at the end.
-//!
-//! **In the book**: [record everything, and replay it][1], [the recorder polls][2], [limits][3].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/captures.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/captures.md#the-recorder-polls-and-writes-causes-before-effects
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/limits.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod attachments;
@@ -85,6 +45,7 @@ const NOTE_EVERY_NS: u64 = 500_000_000;
 /// Errors of starting a recording.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum StartError {
     /// The fleet's services could not be opened.
     #[error(transparent)]
@@ -97,16 +58,7 @@ pub enum StartError {
         "channels for single robots: fleet {fleet} has a capacity of {robots} robots, that is {needed} \
          channels, and a file can have {allowed}. Record fewer topics, or leave out --per-robot"
     )]
-    TooManyChannels {
-        /// The fleet.
-        fleet: String,
-        /// Robots that it has capacity for.
-        robots: u64,
-        /// Channels needed.
-        needed: u64,
-        /// Channels that a file can have.
-        allowed: u64,
-    },
+    TooManyChannels { fleet: String, robots: u64, needed: u64, allowed: u64 },
     /// A thread could not be started, or died at its start.
     #[error("the recorder cannot start: {0}")]
     Thread(#[from] std::io::Error),
@@ -157,14 +109,12 @@ impl Recorder {
     }
 
     /// True if it has stopped because the file could not be written, or because a thread has ended.
-    #[must_use]
     pub fn is_over(&self) -> bool {
         let mut threads = [&self.drain, &self.writer].into_iter().flatten();
         self.shared.over.load(Ordering::Relaxed) || threads.any(Background::has_ended)
     }
 
     /// The summary so far.
-    #[must_use]
     pub fn summary(&self) -> Summary {
         self.shared.summary()
     }

@@ -1,31 +1,4 @@
-//! Distributions of durations, as reports and live views show them.
-//!
-//! Pure: nothing here reads a clock.
-//!
-//! ```
-//! use joulebus_latency::{Spread, histogram};
-//!
-//! let mut durations = histogram();
-//! for ns in [10_000, 20_000, 30_000] {
-//!     durations.record(ns)?;
-//! }
-//! let spread = Spread::new(&durations);
-//! assert_eq!(spread.count, 3);
-//! assert!((spread.p50_us - 20.0).abs() < 0.1);
-//! # Ok::<(), hdrhistogram::RecordError>(())
-//! ```
-//!
-//! **To know.** [`histogram`](histogram()) creates an [`hdrhistogram::Histogram`], which takes
-//! durations from 1 ns to a minute with three significant digits. A [`Spread`] summarises it.
-//!
-//! **Units.** Durations go in as ns. A [`Spread`] has µs.
-//!
-//! **Errors.** Only recording can fail: a duration above a minute is refused by the histogram.
-//!
-//! **In the book**: [latency and transports][1], [metrics][2].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/measured/latency.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/metrics.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 use hdrhistogram::Histogram;

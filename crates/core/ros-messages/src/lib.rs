@@ -1,41 +1,4 @@
-//! The ROS 2 messages with power and motion data, decoded from CDR, and the published messages,
-//! encoded.
-//!
-//! Pure: bytes in, values out, and back. The `cdr-encoding` crate, which RustDDS and ros2-client
-//! use, reads the bytes.
-//!
-//! ```
-//! use joulebus_ros_messages::{Float64, Message, RosType, encode};
-//!
-//! // Plain CDR begins with four bytes that state its byte order.
-//! let mut bytes = vec![0, 1, 0, 0];
-//! for value in [0.2, 0.0, 0.0, 0.0, 0.0, 1.5] {
-//!     bytes.extend(encode(&Float64 { data: value })?);
-//! }
-//! let twist = RosType::new("cdr", "geometry_msgs/msg/Twist", "ros2msg", b"")?;
-//! let Message::Twist(command) = twist.decode(&bytes)? else { panic!("it is a Twist") };
-//! assert_eq!((command.linear.x, command.angular.z), (0.2, 1.5));
-//! assert!(twist.decode(&bytes[..20]).is_err());
-//! # Ok::<(), joulebus_ros_messages::RosError>(())
-//! ```
-//!
-//! **Three types to know.** A [`RosType`] is a type that joulebus reads. A [`Message`] is a decoded
-//! one. [`WhatIfRequest`] is the request of joulebus' own service, with [`WhatIfResponse`] as its
-//! answer. [`DiagnosticArray`], [`Float64`] and [`Outlook`] are published.
-//!
-//! **Definitions.** [`RosType::new`] compares the definition in a file with the built-in one. A
-//! message with other fields is refused instead of misread. [`definitions`] has the text of
-//! joulebus' own types.
-//!
-//! **Units** are those of the ROS definitions: SI. [`Time`] has s and ns.
-//!
-//! **Errors** state what was found and what is allowed ([`RosError`]): another type, another
-//! encoding, another definition, or bytes that do not fit the type.
-//!
-//! **In the book**: [ROS 2 topics of a bridge][1], [from messages to samples][2].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/ros2.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/explanation/bridges.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod hashes;
@@ -63,7 +26,6 @@ pub struct Time {
 
 impl Time {
     /// Unix ns. `None` for 0, an unset stamp, and before 1970.
-    #[must_use]
     pub fn unix_ns(self) -> Option<u64> {
         let sec = u64::try_from(self.sec).ok()?;
         let ns = sec * 1_000_000_000 + u64::from(self.nanosec);
@@ -83,7 +45,6 @@ impl Clock {
     pub const NAME: &str = "rosgraph_msgs/msg/Clock";
 
     /// Simulated ns from 0. `None` for what is no time.
-    #[must_use]
     pub fn sim_ns(self) -> Option<u64> {
         let sec = u64::try_from(self.clock.sec).ok().filter(|_| self.clock.nanosec < 1_000_000_000);
         sec.map(|sec| sec * 1_000_000_000 + u64::from(self.clock.nanosec))
@@ -120,7 +81,6 @@ pub struct Quaternion {
 
 impl Quaternion {
     /// Yaw, rad. NaN if it is not a rotation.
-    #[must_use]
     pub fn yaw_rad(&self) -> f64 {
         let norm = self.x * self.x + self.y * self.y + self.z * self.z + self.w * self.w;
         if norm.is_nan() || norm <= 1e-12 {
@@ -251,38 +211,23 @@ pub enum Message {
 /// Errors of decoding a channel or a message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum RosError {
     /// An unsupported type.
     #[error(
         "type {found:?}, supported are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
          geometry_msgs/msg/TwistStamped and nav_msgs/msg/Odometry"
     )]
-    Type {
-        /// Its name.
-        found: String,
-    },
+    Type { found: String },
     /// Another encoding of messages or definitions.
     #[error("encoding {found:?}, supported is {allowed:?}")]
-    Encoding {
-        /// The encoding found.
-        found: String,
-        /// The supported encoding.
-        allowed: &'static str,
-    },
+    Encoding { found: String, allowed: &'static str },
     /// The definition in the file has other fields.
     #[error("its definition has {found:?} where {expected:?} is expected")]
-    Definition {
-        /// The field in the file.
-        found: String,
-        /// The expected field.
-        expected: &'static str,
-    },
+    Definition { found: String, expected: &'static str },
     /// The bytes are not plain CDR.
     #[error("begins with {found:02x?}. Plain CDR begins with 00 00 or 00 01")]
-    Encapsulation {
-        /// The first bytes, at most four.
-        found: Vec<u8>,
-    },
+    Encapsulation { found: Vec<u8> },
     /// The bytes do not match the definition.
     #[error("{0}")]
     Bytes(String),

@@ -1,29 +1,4 @@
-//! Layout of shared memory: fixed-size payloads, codes, flags and service names.
-//!
-//! ```
-//! use joulebus_wire::{Sample, sample_flag};
-//! let sample = Sample::new(7, 0, 1_000_000).command(0.1, 0.0).reading(3.65, 1_000_000);
-//! assert!(sample.flags & sample_flag::POWER != 0);
-//! ```
-//!
-//! Other processes and other languages read everything here. So each payload is `#[repr(C)]`
-//! without implicit padding, and without Rust enums or bools, of which another process could write
-//! an invalid one. This is checked at compile time: each is a [`Payload`].
-//!
-//! **Three types to know.** A [`Sample`] is the report of a source on a robot. A [`Forecast`] is
-//! that of the worker on it. A [`Channel`] is a service of shared memory: its header and its rows.
-//!
-//! **Units** are SI. Times are `u64` nanoseconds. An unknown value is NaN *and* has its flag
-//! cleared. It is never 0 or −1.
-//!
-//! **Errors.** There are none: codes are decoded with [`Quality::decode`] and the other `decode`
-//! functions, which accept every bit pattern.
-//!
-//! **In the book**: [layout of shared memory][1], [a channel is a type][2], [alarms][3].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/crates/languages/c/include/joulebus.h
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/crates-interfaces-the-build.md#a-channel-is-a-type
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/alarms.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod acknowledgement;

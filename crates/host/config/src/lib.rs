@@ -1,38 +1,4 @@
-//! One file configures every process of a fleet.
-//!
-//! ```
-//! let text = r#"
-//! [fleet]
-//! name = "lab"
-//! [[platform]]
-//! file = "builtin:rover"
-//! robots = ["0-9", 12]
-//! "#;
-//! let config = joulebus_config::Config::parse(text, std::path::Path::new("."))?;
-//! assert_eq!(config.settings().platforms[0].robots, [0..=9, 12..=12]);
-//!
-//! let wrong = text.replace("name", "nmae");
-//! let refused = joulebus_config::Config::parse(&wrong, std::path::Path::new(".")).unwrap_err();
-//! assert!(refused.to_string().contains("`fleet.name`"));
-//! # Ok::<(), joulebus_config::ConfigError>(())
-//! ```
-//!
-//! [`Config::load`] reads the fleet's file and the platform files that it names. It checks every
-//! key against one table ([`KEYS`]). It refuses unknown keys, and values that are out of range or
-//! contradictory: all at once, each with file, line and remedy.
-//!
-//! **Three types to know.** A [`Config`] is plain values: [`Config::settings`] for the tick, and
-//! [`Config::root`], [`Config::prefix`] and [`Config::fleet`] for shared memory. A [`Key`]
-//! describes a key: unit, range, default and meaning. A [`ConfigError`] has all problems of a file.
-//!
-//! **Units** stand in the names of the keys: `_w`, `_s`, `_hz`, `_mps`.
-//!
-//! **In the book**: [config: every key][1], [check configs in an editor][2], [one file for all
-//! processes][3].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/editors.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/crates-interfaces-the-build.md#one-file-for-all-processes-and-one-table-of-its-keys
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod builtin;

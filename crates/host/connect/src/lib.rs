@@ -1,31 +1,4 @@
-//! Joining the fleet of a config. The config itself is plain values, and knows no shared memory.
-//!
-//! `joulebus-publisher`, `joulebus-consumer`, `joulebus-planner` and all programs join so. A
-//! program of yours uses one of those three.
-//!
-//! ```no_run
-//! let config = joulebus_config::Config::load("configs/fleet.toml")?;
-//! let bus = joulebus_connect::join(&config, "my-program")?;
-//! println!("a member of {}", bus.domain().fleet());
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
-//!
-//! **To know.** [`join`](join()) returns a [`Bus`], which opens ports. A [`ConnectError`] is the
-//! error of all that happens at the start of a member. A [`FindingsFile`](findings::FindingsFile)
-//! carries what a source finds implausible to the readers of its fleet.
-//!
-//! **Units.** There are none.
-//!
-//! **Errors** state the cause and the remedy. [`error`] has all errors that a [`ConnectError`]
-//! contains.
-//!
-//! **In the book**: [config, every key][1], [files and shared memory][2], [findings of sources
-//! reach readers by a file][3], [troubleshooting][4].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/forecasts-batteries-alarms.md#findings-of-sources-reach-readers-by-a-file-not-by-shared-memory
-//! [4]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/troubleshooting.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 pub mod findings;

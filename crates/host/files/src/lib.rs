@@ -1,37 +1,4 @@
-//! Opens the files that a user names, and writes them as a whole.
-//!
-//! ```
-//! use std::path::Path;
-//!
-//! // A pipe would block, and a device might never end.
-//! let refused = joulebus_files::read(Path::new("/dev/null"), 1_000).unwrap_err();
-//! assert_eq!(refused.to_string(), "is a device, allowed are regular files");
-//! ```
-//!
-//! Opening a pipe blocks, reading a device never ends, and opening some devices has side effects.
-//! So only regular files are opened, also through symbolic links. Whole files are read into memory
-//! only up to a limit that the reader sets.
-//!
-//! **To know.**
-//!
-//! - [`open`](open()), [`read`](read()) and [`read_to_string`] read. [`read_secret`] also checks
-//!   that only the owner can.
-//! - [`create`] writes a new file, and [`replace`] the file of an earlier run. Both write it as a
-//!   whole or not at all.
-//! - [`Several`] removes the files of a result that did not become whole.
-//! - [`foreign`] states what a file of another program is, and how it is converted.
-//! - [`ends_in`] and [`without_ending`] know a file's ending in any case.
-//! - [`disk`] has the single operations for files that must survive a crash.
-//!
-//! **Units** are bytes.
-//!
-//! **Errors** are [`std::io::Error`]. Its cause is [`Refused`] if a rule of this crate refuses the
-//! file, with what was found and what is allowed. The caller names the file.
-//!
-//! **In the book**: [files and shared memory][1], [faults of files that were tested][2].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/files.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/measured/faults/files.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 pub mod disk;
@@ -54,36 +21,23 @@ pub use whole::{check_kind, create, replace};
 /// Reason that a file is refused, as the cause of an [`io::Error`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum Refused {
     /// The path is not a regular file.
     #[error("is {found}, allowed are regular files")]
-    Kind {
-        /// Its kind.
-        found: &'static str,
-    },
+    Kind { found: &'static str },
     /// The path has a file that no program of joulebus has written.
     #[error(
         "begins with {found:?}, which is not what would be written there, and is not overwritten. \
             Move it away, or name another file"
     )]
-    Foreign {
-        /// Its first bytes.
-        found: String,
-    },
+    Foreign { found: String },
     /// The file is longer than the limit.
     #[error("has {found} bytes, allowed are {allowed}")]
-    TooLong {
-        /// Length of the file, at least, bytes.
-        found: u64,
-        /// Limit, bytes.
-        allowed: u64,
-    },
+    TooLong { found: u64, allowed: u64 },
     /// Others may read a secret.
     #[error("has mode {mode:04o}: others may read it. `chmod 600` makes it its owner's alone")]
-    Readable {
-        /// Its permissions.
-        mode: u32,
-    },
+    Readable { mode: u32 },
 }
 
 impl From<Refused> for io::Error {

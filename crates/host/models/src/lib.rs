@@ -1,31 +1,4 @@
-//! Loads the models that the config of a fleet names: files, built-in models, persistence.
-//!
-//! The worker does, and so does every planner that computes for itself.
-//!
-//! ```
-//! use joulebus_predictor::Model;
-//!
-//! let text = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [7]\n";
-//! let config = joulebus_config::Config::parse(text, std::path::Path::new("."))?;
-//! let models = joulebus_models::load_models(&config)?;
-//! assert!(matches!(models[..], [Model::Network(_)]));
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
-//!
-//! **To know.** [`load_models`] returns one [`Model`] for each platform, in the order of the
-//! settings. A [`ModelSource`] is the config's entry for a platform's model.
-//!
-//! **Units.** Models forecast W.
-//!
-//! **Errors** name the platform and its file ([`ModelsError`]): it cannot be read, or its contents
-//! are refused. A file of another program is recognised, with the command that converts it.
-//!
-//! **In the book**: [models that ship][1], [train, compare and export models][2], [config, every
-//! key][3].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/reference/models.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/models.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/reference/config.md
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 use std::path::PathBuf;
@@ -41,37 +14,17 @@ const NORMAL_95: f32 = 1.645;
 /// Errors of loading a platform's model.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ModelsError {
     /// The file cannot be read.
     #[error("model {path} of platform {platform}: {source}")]
-    Read {
-        /// The platform.
-        platform: String,
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
+    Read { platform: String, path: PathBuf, source: std::io::Error },
     /// The file is of another program.
     #[error("model {path} of platform {platform} is {kind}")]
-    Foreign {
-        /// The platform.
-        platform: String,
-        /// The file.
-        path: PathBuf,
-        /// The kind of file, with its conversion.
-        kind: String,
-    },
+    Foreign { platform: String, path: PathBuf, kind: String },
     /// The model is refused.
     #[error("model {model} of platform {platform} is refused: {source}")]
-    Refused {
-        /// The platform.
-        platform: String,
-        /// Its file or name.
-        model: String,
-        /// The reason.
-        source: Box<ModelError>,
-    },
+    Refused { platform: String, model: String, source: Box<ModelError> },
 }
 
 /// The models of all platforms, in the order of the settings.

@@ -1,45 +1,4 @@
-//! Answers questions about plans, in a thread beside the tick of `joulebus run`.
-//!
-//! A part of the program `joulebus`. It serves processes that do not compute plans themselves.
-//! [`joulebus_planner::PlanClient`] asks, and this thread answers with the code of `joulebus-plan`,
-//! from the plan states and budgets that the worker writes into shared memory. The tick does
-//! nothing beyond writing them.
-//!
-//! ```no_run
-//! use joulebus_plan_server::PlanServer;
-//!
-//! let config = joulebus_config::Config::load("configs/fleet.toml")?;
-//! // Before the worker is opened: a thread inherits its scheduling.
-//! let server = PlanServer::start(&config, None)?;
-//! // Once this process holds the fleet's worker lock.
-//! server.serve();
-//! server.wait_until_open();
-//! println!("{} questions answered", server.finish().answered);
-//! # Ok::<(), Box<dyn std::error::Error>>(())
-//! ```
-//!
-//! **Three types to know.** A [`PlanServer`] is the thread. A [`QueryReport`] counts the questions
-//! that it answered, and those that it refused by reason. A [`StartError`] states why it could not
-//! start.
-//!
-//! **Fairness.** The thread has its own nice value and takes questions of all clients before it
-//! answers any. It serves the process that has used least of its time first, robot by robot. It
-//! refuses what it cannot answer, with a reason, and records questions and answers for readers.
-//!
-//! **Alarms.** It also takes acknowledgements of alarms, and publishes which are acknowledged. It
-//! passes those as the new normal on to the worker's tick.
-//!
-//! **Units** are those of `joulebus-plan`: W, J, s, m, rad.
-//!
-//! **Errors.** Only the start can fail. A port that fails later is opened again, unless the files
-//! of the fleet were removed: the worker ends then too.
-//!
-//! **In the book**: [questions that the worker answers][1], [questions and answers in shared
-//! memory][2], [why a thread of joulebus run answers][3].
-//!
-//! [1]: https://github.com/joulebus/joulebus/blob/main/docs/how-to/ask-the-worker.md
-//! [2]: https://github.com/joulebus/joulebus/blob/main/docs/reference/questions.md
-//! [3]: https://github.com/joulebus/joulebus/blob/main/docs/decisions/plans-energy.md#a-thread-of-joulebus-run-answers-processes-that-cannot-compute
+#![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
 mod acknowledgements;
@@ -160,7 +119,6 @@ impl PlanServer {
 
     /// Tells whether the thread has ended, for a worker that must not go on without it. `None` if
     /// the config turns questions off.
-    #[must_use]
     pub fn watch(&self) -> Option<ThreadWatch> {
         self.thread.as_ref().map(Background::watch)
     }
@@ -185,7 +143,6 @@ impl Shared {
     }
 }
 
-/// The thread's work.
 struct Answering {
     config: Config,
     models: Fleet,
