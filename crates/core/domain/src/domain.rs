@@ -81,49 +81,41 @@ impl Domain {
     }
 
     /// Name of the fleet.
-    #[must_use]
     pub fn fleet(&self) -> &str {
         &self.fleet
     }
 
     /// The private root directory. It may contain several fleets.
-    #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
     /// The configured prefix.
-    #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
     /// Prefix of the names of this domain's objects in `/dev/shm`.
-    #[must_use]
     pub fn shm_prefix(&self) -> &str {
         &self.shm_prefix
     }
 
     /// The directory of this fleet below the root: iceoryx2's own root path.
-    #[must_use]
     pub fn directory(&self) -> PathBuf {
         self.root.join(&self.fleet)
     }
 
     /// The lock that every member holds shared.
-    #[must_use]
     pub fn members_file(&self) -> PathBuf {
         self.directory().join(FLEET_MARKER)
     }
 
     /// The configuration of iceoryx2.
-    #[must_use]
     pub fn config_file(&self) -> PathBuf {
         self.directory().join("iceoryx2.toml")
     }
 
     /// The lock of the worker.
-    #[must_use]
     pub fn worker_file(&self) -> PathBuf {
         self.root.join(format!("worker-{}.lock", self.fleet))
     }
@@ -138,38 +130,23 @@ fn hash(parts: &[&str]) -> u32 {
 /// Reason that a [`Domain`] is invalid.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum DomainError {
     /// The fleet's name.
     #[error("fleet name {found:?}: allowed are 1 to {MAX_FLEET_BYTES} of a-z A-Z 0-9 - _")]
-    Fleet {
-        /// The name.
-        found: String,
-    },
+    Fleet { found: String },
     /// The prefix.
     #[error("prefix {found:?}: allowed are 1 to {MAX_PREFIX_BYTES} of a-z 0-9 _")]
-    Prefix {
-        /// The prefix.
-        found: String,
-    },
+    Prefix { found: String },
     /// The root path.
     #[error("root {found:?}: must be absolute, not `/`, without `..`, of a-z A-Z 0-9 / - _ . + @")]
-    Root {
-        /// The path.
-        found: PathBuf,
-    },
+    Root { found: PathBuf },
     /// The root path is too long for the names of sockets below it.
     #[error(
         "root {root:?} has {found} bytes, allowed are {allowed}: choose a shorter one, such as \
          /dev/shm/joulebus"
     )]
-    RootTooLong {
-        /// Bytes of the path.
-        found: usize,
-        /// Bytes allowed with this fleet and prefix.
-        allowed: usize,
-        /// The path.
-        root: PathBuf,
-    },
+    RootTooLong { found: usize, allowed: usize, root: PathBuf },
 }
 
 #[cfg(test)]

@@ -82,7 +82,6 @@ impl Limits {
     }
 
     /// Text stored in each service for comparison by other processes.
-    #[must_use]
     pub fn describe(&self) -> String {
         format!(
             "capacity={} max_sources={} max_planners={} sample_frames={} forecast_frames={}",
@@ -95,14 +94,12 @@ impl Limits {
     }
 
     /// Processes that can be members at once.
-    #[must_use]
     pub const fn nodes(&self) -> usize {
         2 * (self.max_sources + self.max_planners + SPARE)
     }
 
     /// Frames of samples that a tick's journal can list: all that can be queued when a tick begins,
     /// up to 4,096.
-    #[must_use]
     pub const fn listed_frames(&self) -> usize {
         let waiting = self.max_sources * self.sample_frames;
         if waiting < MAX_LISTED { waiting } else { MAX_LISTED }
@@ -161,26 +158,22 @@ impl Limits {
 
     /// Clients that can ask the worker at once, but for operators: these find their places whatever
     /// others do.
-    #[must_use]
     pub const fn open_query_clients(&self) -> usize {
         let wanted = self.max_planners + SPARE;
         if wanted < MAX_QUERY_CLIENTS { wanted } else { MAX_QUERY_CLIENTS }
     }
 
     /// Clients that can ask the worker at once.
-    #[must_use]
     pub const fn query_clients(&self) -> usize {
         self.open_query_clients() + OPERATORS
     }
 
     /// Questions that can be in transfer at once.
-    #[must_use]
     pub const fn queries_in_transfer(&self) -> usize {
         self.query_clients() * ACTIVE_QUERIES
     }
 
     /// Listeners and notifiers of the event that wakes clients. Swapped, those of the worker's.
-    #[must_use]
     pub const fn query_events(&self) -> (usize, usize) {
         (self.query_clients(), 1 + SPARE)
     }
@@ -191,13 +184,11 @@ impl Limits {
     }
 
     /// Listeners and notifiers of the sources' event.
-    #[must_use]
     pub const fn arrivals(&self) -> (usize, usize) {
         (1 + SPARE, self.max_sources + SPARE)
     }
 
     /// Listeners and notifiers of the worker's event.
-    #[must_use]
     pub const fn wake(&self) -> (usize, usize) {
         (self.max_planners + ANSWERING + LINKS + SPARE, 1 + SPARE)
     }
@@ -220,7 +211,6 @@ pub struct Shape {
 
 impl Shape {
     /// Frames for which one publisher allocates memory, as iceoryx2 counts them with one loan.
-    #[must_use]
     pub const fn frames(&self) -> usize {
         self.subscribers * (self.buffer + self.borrowed) + self.history + 1
     }
@@ -229,11 +219,9 @@ impl Shape {
 /// A limit outside its range.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{name} = {found}: allowed are 1 to {max}")]
+#[allow(missing_docs)] // The messages name the fields.
 pub struct LimitsError {
-    /// Name of the limit.
     pub name: &'static str,
-    /// Its value.
     pub found: usize,
-    /// The greatest value allowed.
     pub max: usize,
 }

@@ -15,7 +15,6 @@ pub struct Scheduling {
 
 impl Scheduling {
     /// True if nothing is requested.
-    #[must_use]
     pub fn is_nothing(&self) -> bool {
         self.cpus.is_empty() && self.priority == 0 && !self.lock_memory
     }
