@@ -334,7 +334,6 @@ impl RlsUpdateLanes {
 }
 
 impl Online {
-    /// Empty lanes.
     pub(crate) const NONE: Self = Self {
         theta: START,
         covariance: COVARIANCE,

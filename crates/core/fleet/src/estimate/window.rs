@@ -29,7 +29,6 @@ impl Lags {
 /// The gap between the last sample and this one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Gap {
-    /// Nothing is missing.
     None,
     /// This many sample periods are missing. The model bridges them with its own forecasts.
     Bridge(u16),
@@ -197,7 +196,6 @@ impl Window {
         self.closed.forecast_w
     }
 
-    /// Empties the window.
     fn restart(&mut self) {
         *self = Self { reading_age: self.reading_age, ..Self::EMPTY };
     }

@@ -19,7 +19,6 @@ pub(crate) mod invalid_reason {
     }
 }
 
-/// Counts by reason.
 pub(crate) mod drop_counts {
     use joulebus_wire::DropCounts;
     use serde::{Deserialize as _, Deserializer, Serialize as _, Serializer};

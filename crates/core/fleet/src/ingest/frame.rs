@@ -37,7 +37,6 @@ pub struct FrameIntake {
 
 impl FrameIntake {
     /// True if it is a frame of its source's present run, whatever its samples are.
-    #[must_use]
     pub const fn is_admitted(&self) -> bool {
         self.admitted.is_ok()
     }

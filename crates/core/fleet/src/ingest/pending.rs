@@ -60,7 +60,6 @@ impl Pending {
 /// Processing state of a robot's newest sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum PendingState {
-    /// No sample.
     None,
     /// A sample is waiting to be absorbed.
     Waiting,

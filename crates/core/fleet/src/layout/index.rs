@@ -1,7 +1,6 @@
 //! Index of robots by id: an open-addressing hash table of positions. The ids themselves are stored
 //! elsewhere.
 
-/// An empty entry.
 const EMPTY: u32 = u32::MAX;
 
 /// Positions by id, in a table 1.5 times as large as its maximum number of entries, so that it
@@ -18,7 +17,6 @@ impl Index {
         Self { table: vec![EMPTY; most + most / 2 + 1] }
     }
 
-    /// Removes all entries.
     pub(crate) fn clear(&mut self) {
         self.table.fill(EMPTY);
     }

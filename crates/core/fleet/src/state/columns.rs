@@ -198,7 +198,6 @@ macro_rules! columns {
                 )
             }
 
-            /// Reborrows the columns.
             pub(crate) fn reborrow(&mut self) -> ColumnsMut<'_> {
                 ColumnsMut {
                     admissions: self.admissions,

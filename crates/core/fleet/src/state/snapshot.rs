@@ -63,74 +63,36 @@ pub(crate) struct Counters {
 /// Errors of restoring a state.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum StateError {
     /// Not a state, or one of another version.
     #[error(
         "not a fleet's state in version {oldest} to {expected}: it begins with {found:02x?}. \
          Read it with the version of joulebus that wrote it"
     )]
-    Version {
-        /// Its first bytes.
-        found: Vec<u8>,
-        /// The oldest version that this program reads.
-        oldest: u8,
-        /// The newest version that this program reads.
-        expected: u8,
-    },
+    Version { found: Vec<u8>, oldest: u8, expected: u8 },
     /// The bytes end too early or are invalid.
     #[error("a fleet's state of {bytes} bytes cannot be read: {reason}")]
-    Malformed {
-        /// Bytes given.
-        bytes: usize,
-        /// The decoder's error.
-        reason: String,
-    },
+    Malformed { bytes: usize, reason: String },
     /// The state of a fleet with another capacity.
     #[error("a state of a fleet with capacity {found}, expected {expected}. Use the same config")]
-    Capacity {
-        /// Capacity in the state.
-        found: u32,
-        /// Capacity of this fleet.
-        expected: u32,
-    },
+    Capacity { found: u32, expected: u32 },
     /// The state of a fleet with other platforms.
     #[error("a state of a fleet with {found} platforms, expected {expected}. Use the same config")]
-    Platforms {
-        /// Platforms in the state.
-        found: u32,
-        /// Platforms of this fleet.
-        expected: u32,
-    },
+    Platforms { found: u32, expected: u32 },
     /// The state of a fleet with other settings.
     #[error(
         "a state taken with settings {found:016x}, these are {expected:016x}. Use the same config"
     )]
-    FleetSettings {
-        /// Hash of the settings in the state.
-        found: u64,
-        /// Hash of this fleet's.
-        expected: u64,
-    },
+    FleetSettings { found: u64, expected: u64 },
     /// The state of a fleet with other models.
     #[error(
         "a state taken with models {found:016x}, these are {expected:016x}. Use the same models"
     )]
-    Models {
-        /// Hash of the models in the state.
-        found: u64,
-        /// Hash of this fleet's.
-        expected: u64,
-    },
+    Models { found: u64, expected: u64 },
     /// The snapshot is inconsistent.
     #[error("the state contradicts itself: {what} is {found}, allowed is {allowed}")]
-    Corrupt {
-        /// The inconsistent quantity.
-        what: &'static str,
-        /// Its value.
-        found: u64,
-        /// Its maximum.
-        allowed: u64,
-    },
+    Corrupt { what: &'static str, found: u64, allowed: u64 },
 }
 
 impl FleetState {

@@ -104,7 +104,6 @@ impl Batch {
         self.slots.push(slot as u32);
     }
 
-    /// Infers the rows.
     pub(crate) fn infer(&mut self, model: &Model) {
         let rows = self.slots.len();
         let columns = self.columns.each_ref().map(|column| &column[..rows]);

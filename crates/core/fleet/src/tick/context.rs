@@ -22,9 +22,6 @@ pub(crate) struct TickContext {
 
 impl TickContext {
     /// `models[i]` is the model of `settings.platforms[i]`.
-    ///
-    /// # Errors
-    /// The numbers of models and platforms differ.
     pub(crate) fn new(settings: FleetSettings, models: Vec<Model>) -> Result<Self, SettingsError> {
         if settings.platforms.len() != models.len() {
             return Err(SettingsError::Models {

@@ -40,12 +40,10 @@ pub(crate) struct Oracle {
     pub models: Vec<Model>,
     pub errors: Vec<Errors>,
     pub members: BTreeMap<u32, Member>,
-    /// The oldest first.
     pub departed: VecDeque<(u32, Account)>,
     sources: Vec<Known>,
     /// Sources that had to make room for others.
     pub recycled: u64,
-    /// Ends of sources.
     pub ended: u64,
     pub accepted: u64,
     pub drops: BTreeMap<&'static str, u64>,
