@@ -227,7 +227,6 @@ impl ModelCard {
     }
     /// Time between two steps at which the network forecasts, s: as stated, or that of the
     /// Robotarium for its simulated robots.
-    #[must_use]
     pub fn period_s(&self) -> Option<f32> {
         let simulated = (self.source == SIMULATED).then_some(ROBOTARIUM_STEP_S);
         self.step_s.or(simulated)

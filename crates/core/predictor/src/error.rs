@@ -15,80 +15,39 @@ use thiserror::Error;
 /// ```
 #[derive(Debug, Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ModelError {
     /// Larger than any model of this kind.
     #[error(
         "the file has {found} bytes, a model has at most {allowed}. Check that it is a model file"
     )]
-    TooLarge {
-        /// Bytes found.
-        found: usize,
-        /// Bytes allowed.
-        allowed: usize,
-    },
+    TooLarge { found: usize, allowed: usize },
     /// The container is corrupt or of another format.
     #[error("not a complete safetensors file ({0}). Copy or train the model again")]
     Container(#[from] SafeTensorError),
     /// A metadata entry is absent.
     #[error("metadata has no `{field}`. This is not a joulebus model")]
-    MissingField {
-        /// Name of the entry.
-        field: &'static str,
-    },
+    MissingField { field: &'static str },
     /// A value that this build does not accept.
     #[error("`{field}` is {found}, allowed: {allowed}")]
-    Field {
-        /// Name of the metadata entry or parameter.
-        field: String,
-        /// The value found.
-        found: String,
-        /// Allowed values.
-        allowed: String,
-    },
+    Field { field: String, found: String, allowed: String },
     /// A tensor is absent.
     #[error("tensor `{tensor}` is missing")]
-    MissingTensor {
-        /// Name of the tensor.
-        tensor: String,
-    },
+    MissingTensor { tensor: String },
     /// A tensor that belongs to no layer.
     #[error("tensor `{tensor}` belongs to no layer. A model has exactly {allowed} tensors")]
-    UnexpectedTensor {
-        /// Name of the tensor.
-        tensor: String,
-        /// Number of tensors of a model.
-        allowed: usize,
-    },
+    UnexpectedTensor { tensor: String, allowed: usize },
     /// A tensor has another type or shape.
     #[error("tensor `{tensor}` is {found}, allowed: {allowed}")]
-    Shape {
-        /// Name of the tensor.
-        tensor: String,
-        /// Type and shape found.
-        found: String,
-        /// Type and shape allowed.
-        allowed: String,
-    },
+    Shape { tensor: String, found: String, allowed: String },
     /// A weight or bias is NaN or infinite.
     #[error("tensor `{tensor}` has {value} at position {index}, allowed: finite numbers")]
-    NotFinite {
-        /// Name of the tensor.
-        tensor: String,
-        /// Position in row-major order.
-        index: usize,
-        /// The value found.
-        value: f32,
-    },
+    NotFinite { tensor: String, index: usize, value: f32 },
     /// The contents differ from the digest.
     #[error(
         "contents have SHA-256 {found}, metadata says {stated}. The file was modified or corrupted"
     )]
-    Checksum {
-        /// Digest of the contents, hexadecimal.
-        found: String,
-        /// Digest stated in the metadata.
-        stated: String,
-    },
+    Checksum { found: String, stated: String },
     /// The energy model cannot be read, or a value of it is out of range.
     #[error("`energy`: {0}")]
     Energy(#[from] EnergyModelError),
@@ -123,25 +82,16 @@ impl ModelError {
 /// ```
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum RolloutError {
     /// The time step is not positive and finite.
     #[error("step_s is {found}, allowed: positive and finite seconds")]
-    Step {
-        /// The value found.
-        found: f32,
-    },
+    Step { found: f32 },
     /// Lanes out of range.
     #[error(
         "lanes {start}..{end} were asked for, allowed: parts of 0..{allowed} (robots x candidates)"
     )]
-    Lanes {
-        /// First lane requested.
-        start: usize,
-        /// End of the lanes requested.
-        end: usize,
-        /// Number of lanes.
-        allowed: usize,
-    },
+    Lanes { start: usize, end: usize, allowed: usize },
     /// The length of a slice does not match the shape.
     #[error(transparent)]
     Length(#[from] LengthError),
@@ -152,11 +102,9 @@ pub enum RolloutError {
 /// [`Model::predict_columns`](crate::Model::predict_columns) has an example.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 #[error("{column} has {found} values, allowed: {allowed}")]
+#[allow(missing_docs)] // The messages name the fields.
 pub struct LengthError {
-    /// Name of the slice.
     pub column: &'static str,
-    /// Values found.
     pub found: usize,
-    /// Values required by the others.
     pub allowed: usize,
 }

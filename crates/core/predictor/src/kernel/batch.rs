@@ -33,7 +33,6 @@ pub enum Tiling {
     OutputMajor,
 }
 
-/// Input rows.
 pub(crate) trait Source: Copy {
     /// True if batch-major loads are faster than output-major ones.
     const IS_COLUMNS: bool;

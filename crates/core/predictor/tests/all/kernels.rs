@@ -21,7 +21,6 @@ fn kernels(network: &Network) -> Vec<Network> {
         .collect()
 }
 
-/// The shipped networks.
 fn trained() -> Vec<Network> {
     let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs/models");
     ["gternal-sim.safetensors", "gternal-sim-power.safetensors"]
