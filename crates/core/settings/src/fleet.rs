@@ -91,7 +91,6 @@ pub enum Policy {
 
 impl AlarmSettings {
     /// The limits that a platform may replace.
-    #[must_use]
     pub const fn limits(&self) -> AlarmLimits {
         AlarmLimits {
             cusum_limit: self.cusum_limit,
@@ -155,14 +154,12 @@ impl FleetSettings {
 
     /// FNV-1a hash over every value, bit for bit. It differs if the settings differ, and is the
     /// same on every machine.
-    #[must_use]
     pub fn fingerprint(&self) -> u64 {
         // Serialisation into a growing vector of known lengths cannot fail.
         fnv1a(postcard::to_allocvec(self).unwrap_or_default())
     }
 
     /// True if a platform has a battery.
-    #[must_use]
     pub fn has_batteries(&self) -> bool {
         self.platforms.iter().any(|platform| platform.battery.is_some())
     }

@@ -156,7 +156,6 @@ impl OpenCircuit {
     }
 
     /// The voltages, from empty to full, V.
-    #[must_use]
     pub fn voltages_v(&self) -> &[f64] {
         &self.voltages_v[..self.points]
     }
