@@ -5,7 +5,6 @@ use joulebus_statistics::metrics::{
 };
 use proptest::prelude::*;
 
-/// Readings and forecasts.
 type Pairs = Vec<(f64, f64)>;
 
 fn pairs() -> impl Strategy<Value = Pairs> {
