@@ -61,13 +61,11 @@ impl Acknowledgement {
     }
 
     /// The alarm.
-    #[must_use]
     pub const fn alarm(&self) -> Alarm {
         Alarm::decode(self.alarm)
     }
 
     /// By whom.
-    #[must_use]
     pub fn by(&self) -> &str {
         text(&self.by)
     }

@@ -71,7 +71,6 @@ impl AlarmCard {
 
 impl Alarm {
     /// The alarm's card. `None` for [`Alarm::None`] and [`Alarm::Unknown`].
-    #[must_use]
     pub const fn card(self) -> Option<&'static AlarmCard> {
         match self {
             Self::None | Self::Unknown => None,
@@ -81,7 +80,6 @@ impl Alarm {
 
     /// True if it compares a robot with its own earlier level: it can be acknowledged as the new
     /// normal.
-    #[must_use]
     pub const fn is_of_level(self) -> bool {
         matches!(self, Self::LevelHigh | Self::LevelLow)
     }

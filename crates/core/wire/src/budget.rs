@@ -95,13 +95,11 @@ rows! {
 
 impl Budget {
     /// Energy drawn over the metered time, J.
-    #[must_use]
     pub fn drawn_j(&self) -> f64 {
         self.drawn_uj as f64 * 1e-6
     }
 
     /// The charge state.
-    #[must_use]
     pub const fn charge_state(&self) -> ChargeState {
         ChargeState::decode(self.charge_state)
     }
@@ -141,7 +139,6 @@ pub enum ChargeState {
 
 impl ChargeState {
     /// The code in shared memory.
-    #[must_use]
     pub const fn code(self) -> u32 {
         match self {
             Self::Unknown => 0,

@@ -59,7 +59,6 @@ pub enum Flow {
 
 impl Flow {
     /// True if frames are sent only while somebody reads them.
-    #[must_use]
     pub const fn is_on_demand(self) -> bool {
         matches!(self, Self::Planners { on_demand: true, .. })
     }

@@ -98,19 +98,16 @@ rows! {
 
 impl Diagnostic {
     /// The level.
-    #[must_use]
     pub const fn level(&self) -> Level {
         Level::decode(self.level)
     }
 
     /// The most important alarm.
-    #[must_use]
     pub const fn alarm(&self) -> Alarm {
         Alarm::decode(self.alarm)
     }
 
     /// All alarms that are raised.
-    #[must_use]
     pub const fn alarms(&self) -> AlarmSet {
         AlarmSet(self.alarms)
     }
@@ -156,13 +153,11 @@ pub enum Level {
 
 impl Level {
     /// The code in shared memory: 0 to 3, as in `diagnostic_msgs`.
-    #[must_use]
     pub const fn code(self) -> u16 {
         self as u16
     }
 
     /// The name, as in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Ok => "ok",
@@ -243,7 +238,6 @@ names! {
 
 impl Alarm {
     /// The code in shared memory: 0 is [`Alarm::None`].
-    #[must_use]
     pub const fn code(self) -> u16 {
         match self {
             Self::None => 0,

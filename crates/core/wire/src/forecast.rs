@@ -58,19 +58,16 @@ rows! {
 
 impl Forecast {
     /// The forecast's quality.
-    #[must_use]
     pub const fn quality(&self) -> Quality {
         Quality::decode(self.quality, self.quality_detail)
     }
 
     /// The power expected, W, if there is a forecast.
-    #[must_use]
     pub const fn expected_w(&self) -> Option<f32> {
         if self.flags & forecast_flag::POWER != 0 { Some(self.power_w) } else { None }
     }
 
     /// Lower and upper end of the interval, W, if there is one.
-    #[must_use]
     pub const fn interval_w(&self) -> Option<(f32, f32)> {
         if self.flags & forecast_flag::INTERVAL != 0 { Some((self.lo_w, self.hi_w)) } else { None }
     }
@@ -102,7 +99,6 @@ pub enum Quality {
 
 impl Quality {
     /// Code and detail as they lie in shared memory.
-    #[must_use]
     pub const fn encode(self) -> (u16, u16) {
         match self {
             Self::Unknown => (0, 0),

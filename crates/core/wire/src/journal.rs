@@ -73,20 +73,17 @@ impl TakenFrame {
     }
 
     /// True if the row is a frame.
-    #[must_use]
     pub const fn is_frame(&self) -> bool {
         self.truncated != Self::NO_FRAME
     }
 
     /// The robot, if the row is a [new normal](TakenFrame::new_normal).
-    #[must_use]
     pub const fn new_normal_of(&self) -> Option<u32> {
         // Only the worker writes it: a robot's id.
         if !self.is_frame() && self.samples == 0 { Some(self.frame_seq as u32) } else { None }
     }
 
     /// The source and its run, if the row is the [end of a source](TakenFrame::source_ended).
-    #[must_use]
     pub const fn ended_source(&self) -> Option<(u64, u64)> {
         if !self.is_frame() && self.samples == 1 {
             Some((self.source_id, self.source_epoch))

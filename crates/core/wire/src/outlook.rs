@@ -73,7 +73,6 @@ rows! {
 
 impl Outlook {
     /// The robot's quality.
-    #[must_use]
     pub const fn quality(&self) -> Quality {
         Quality::decode(self.quality, self.quality_detail)
     }

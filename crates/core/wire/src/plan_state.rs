@@ -131,13 +131,11 @@ rows! {
 
 impl PlanState {
     /// The robot's quality.
-    #[must_use]
     pub const fn quality(&self) -> Quality {
         Quality::decode(self.quality, self.quality_detail)
     }
 
     /// The last five readings, W, newest first, if all are known.
-    #[must_use]
     pub const fn lags_w(&self) -> Option<[f32; 5]> {
         if self.flags & plan_state_flag::LAGS == 0 {
             return None;
@@ -146,7 +144,6 @@ impl PlanState {
     }
 
     /// The command in force, m/s and rad/s, if it is known.
-    #[must_use]
     pub const fn command(&self) -> Option<(f32, f32)> {
         if self.flags & plan_state_flag::COMMAND != 0 {
             Some((self.v_mps, self.omega_radps))

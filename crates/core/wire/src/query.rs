@@ -61,7 +61,6 @@ pub enum QueryKind {
 
 impl QueryKind {
     /// The code in shared memory.
-    #[must_use]
     pub const fn code(self) -> u32 {
         self as u32 + 1
     }
@@ -314,7 +313,6 @@ names! {
 
 impl QueryRefusal {
     /// The code in shared memory.
-    #[must_use]
     pub const fn code(self) -> u32 {
         self as u32 + 1
     }
@@ -346,7 +344,6 @@ impl QueryCounts {
     }
 
     /// Questions refused for any reason.
-    #[must_use]
     pub fn total_refused(&self) -> u64 {
         let add = |sum: u64, count: &u64| sum.saturating_add(*count);
         self.refused.iter().fold(0, add)

@@ -69,7 +69,6 @@ rows! {
 
 impl Refusal {
     /// The reason, unless the entry is empty or this version does not know it.
-    #[must_use]
     pub fn reason(&self) -> Option<DropReason> {
         let position = usize::try_from(self.reason).ok()?.checked_sub(1)?;
         DropReason::ALL.get(position).copied()
@@ -99,7 +98,6 @@ impl DropCounts {
     }
 
     /// Samples dropped for any reason.
-    #[must_use]
     pub fn total(&self) -> u64 {
         self.counts.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
@@ -165,7 +163,6 @@ names! {
 
 impl InvalidReason {
     /// The code in shared memory.
-    #[must_use]
     pub const fn code(self) -> u16 {
         match self {
             Self::Unknown => u16::MAX,

@@ -155,7 +155,6 @@ impl Sample {
     }
 
     /// Freshness of the reading.
-    #[must_use]
     pub const fn freshness(&self) -> Freshness {
         if !self.has(sample_flag::POWER) {
             Freshness::Missing
@@ -219,13 +218,11 @@ impl SampleHeader {
     }
 
     /// True if a link passed the frame on.
-    #[must_use]
     pub const fn is_relayed(&self) -> bool {
         self.pid & Self::RELAYED != 0
     }
 
     /// The process that sent the frame on this host.
-    #[must_use]
     pub const fn process(&self) -> u32 {
         self.pid & !Self::RELAYED
     }

@@ -24,7 +24,6 @@ impl Service {
     }
 
     /// The last component of the service's name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         self.0
     }
@@ -51,7 +50,6 @@ pub enum WakeEvent {
 
 impl WakeEvent {
     /// The event id.
-    #[must_use]
     pub const fn id(self) -> usize {
         self as usize
     }
