@@ -19,9 +19,6 @@ const OTHERS_WRITE: u32 = 0o022;
 
 /// Marks root and fleet's directory if iceoryx2 has made them again. Returns those that other users
 /// could read, with their modes. Nothing below a root that remains refused is changed.
-///
-/// # Errors
-/// [`RootError`] if a marker cannot be written.
 pub(crate) fn adopt(domain: &Domain) -> Result<Vec<(PathBuf, u32)>, RootError> {
     match try_adopt(domain) {
         // The last member has just removed it.

@@ -106,7 +106,6 @@ impl Bus {
     }
 
     /// The domain.
-    #[must_use]
     pub fn domain(&self) -> &Domain {
         &self.member.domain
     }
@@ -122,7 +121,6 @@ impl Bus {
 
     /// Name of the thread that checks the files and removes those of dead processes, once it has
     /// ended: because files were removed ([`Bus::check`] states it), or by a defect.
-    #[must_use]
     pub fn ended_thread(&self) -> Option<&'static str> {
         self.member.cleanup.ended()
     }
@@ -133,14 +131,12 @@ impl Bus {
     }
 
     /// The cleanup when joining.
-    #[must_use]
     pub const fn joined(&self) -> SweepReport {
         self.joined
     }
 
     /// Stale files removed since by the cleanup thread, which looks for incomplete objects four
     /// times a second and for dead nodes once a second.
-    #[must_use]
     pub fn housekeeping(&self) -> Housekeeping {
         self.member.cleanup.counts()
     }

@@ -91,23 +91,14 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 /// Reason that iceoryx2 could not be configured for a domain.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum IceoryxConfigError {
     /// iceoryx2 rejects the name.
     #[error("iceoryx2 refuses the {what} of {domain:?}. Choose a shorter `root` and `fleet`")]
-    Refused {
-        /// Which name.
-        what: &'static str,
-        /// The domain.
-        domain: Box<Domain>,
-    },
+    Refused { what: &'static str, domain: Box<Domain> },
     /// The file could not be written.
     #[error("cannot write {path:?}: {source}")]
-    Write {
-        /// The file.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
 }
 
 #[cfg(test)]

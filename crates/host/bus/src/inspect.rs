@@ -164,6 +164,7 @@ fn list_nodes(domain: &Domain) -> Result<Vec<NodeInfo>, InspectError> {
 /// Reason that the state of a domain could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum InspectError {
     /// A directory could not be read.
     #[error(transparent)]
@@ -176,8 +177,5 @@ pub enum InspectError {
     Capacity(#[from] CapacityError),
     /// iceoryx2 could not list its nodes.
     #[error("cannot list nodes: {reason}")]
-    Nodes {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Nodes { reason: String },
 }

@@ -160,6 +160,7 @@ impl JoinError {
 /// Reason that a process could not join.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum JoinError {
     /// The root directory is not private.
     #[error(transparent)]
@@ -175,51 +176,26 @@ pub enum JoinError {
     Sweep(#[from] SweepError),
     /// The members' lock could not be taken.
     #[error("cannot lock {path:?}: {source}")]
-    Lock {
-        /// The lock file.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Lock { path: PathBuf, source: io::Error },
     /// Another process has held the members' lock exclusively for too long.
     #[error(
         "{path:?} has been locked for {waited_s} s by a process that cleans up. Is one stopped? \
             Run `joulebus doctor --fix`"
     )]
-    Timeout {
-        /// The lock file.
-        path: PathBuf,
-        /// Seconds waited.
-        waited_s: u64,
-    },
+    Timeout { path: PathBuf, waited_s: u64 },
     /// An object with the domain's prefix belongs to another user.
     #[error(
         "{path:?} belongs to uid {owner}, expected uid {expected}. Have its owner remove it, or \
          set another `root` or `prefix`"
     )]
-    ForeignObject {
-        /// The object in shared memory.
-        path: PathBuf,
-        /// Its owner.
-        owner: u32,
-        /// The effective uid of this process.
-        expected: u32,
-    },
+    ForeignObject { path: PathBuf, owner: u32, expected: u32 },
     /// The cleanup thread could not be started.
     #[error("cannot start the cleanup thread: {0}")]
     CleanupThread(io::Error),
     /// The node's name.
     #[error("node name {name:?}: allowed are 1 to 128 bytes")]
-    Name {
-        /// The name.
-        name: String,
-    },
+    Name { name: String },
     /// iceoryx2 could not create a node.
     #[error("iceoryx2 cannot create a node below {root:?} ({reason}). Run `joulebus doctor --fix`")]
-    Node {
-        /// iceoryx2's root path.
-        root: PathBuf,
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Node { root: PathBuf, reason: String },
 }

@@ -278,6 +278,7 @@ fn descriptors(limits: &Limits) -> u64 {
 /// Reason that the ports would not fit.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum CapacityError {
     /// Too little shared memory.
     #[error(
@@ -285,72 +286,36 @@ pub enum CapacityError {
          `max_planners`, enlarge it (`mount -o remount,size=… {SHM_DIR}`, in a container \
          `--shm-size`), or remove stale files with `joulebus doctor --fix`"
     )]
-    Memory {
-        /// Bytes needed.
-        needed: u64,
-        /// Bytes free.
-        free: u64,
-    },
+    Memory { needed: u64, free: u64 },
     /// Too few file descriptors.
     #[error(
         "file descriptors: {needed} needed ({used} of them in use), {limit} allowed. Raise the \
             limit (`ulimit -n {needed}`)"
     )]
-    Descriptors {
-        /// Total required.
-        needed: u64,
-        /// In use.
-        used: u64,
-        /// Allowed.
-        limit: u64,
-    },
+    Descriptors { needed: u64, used: u64, limit: u64 },
     /// Too few files can be created in shared memory, although bytes are free.
     #[error(
         "shared memory: {needed} files needed, {free} of the {files} that {SHM_DIR} may hold are \
          free. Remove some (stale ones with `joulebus doctor --fix`), or allow more (`mount -o \
          remount,nr_inodes=… {SHM_DIR}`)"
     )]
-    Files {
-        /// Files needed.
-        needed: u64,
-        /// Files that can be created.
-        free: u64,
-        /// Files that the file system may hold.
-        files: u64,
-    },
+    Files { needed: u64, free: u64, files: u64 },
     /// The process may not map more memory.
     #[error(
         "address space: {needed} bytes more needed, {used} used, {limit} allowed. Raise the limit \
          (`ulimit -v {}`)",
         needed.saturating_add(*used).div_ceil(1024)
     )]
-    AddressSpace {
-        /// Bytes to map.
-        needed: u64,
-        /// Bytes mapped.
-        used: u64,
-        /// Limit of this process.
-        limit: u64,
-    },
+    AddressSpace { needed: u64, used: u64, limit: u64 },
     /// The stack may not grow as far as is needed.
     #[error(
         "stack: {needed} bytes needed, {limit} allowed. Raise the limit (`ulimit -s {}`)",
         needed / 1024
     )]
-    Stack {
-        /// Bytes needed.
-        needed: u64,
-        /// Limit of this process.
-        limit: u64,
-    },
+    Stack { needed: u64, limit: u64 },
     /// The system refuses to allocate shared memory for another reason than its size.
     #[error("shared memory: {bytes} bytes in {SHM_DIR} cannot be allocated: {error}")]
-    Reserve {
-        /// Bytes to allocate.
-        bytes: u64,
-        /// The operating system's error.
-        error: io::Error,
-    },
+    Reserve { bytes: u64, error: io::Error },
     /// Free shared memory or file descriptors could not be read.
     #[error("cannot read how much shared memory or how many file descriptors are free: {0}")]
     Measure(io::Error),

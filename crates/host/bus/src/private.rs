@@ -37,94 +37,52 @@ pub(crate) fn check_private(path: &Path) -> Result<(), RootError> {
 /// Reason that a root directory is refused.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum RootError {
     /// A symbolic link could be redirected.
     #[error("{path:?} is a symbolic link. Remove it, or set `root` to the directory itself")]
-    Symlink {
-        /// The path.
-        path: PathBuf,
-    },
+    Symlink { path: PathBuf },
     /// The path is not a directory.
     #[error("{path:?} is not a directory. Remove it, or set another `root`")]
-    NotADirectory {
-        /// The path.
-        path: PathBuf,
-    },
+    NotADirectory { path: PathBuf },
     /// Another user owns it.
     #[error(
         "{path:?} belongs to uid {found}, expected uid {expected}: only its owner can join the \
          fleets in it. Run this as that user, have that user pass the fleet on with `joulebus \
          serve --socket PATH` or `--http ADDRESS`, or set another `root`"
     )]
-    Owner {
-        /// The path.
-        path: PathBuf,
-        /// Its owner.
-        found: u32,
-        /// The effective uid of this process.
-        expected: u32,
-    },
+    Owner { path: PathBuf, found: u32, expected: u32 },
     /// Other users can access it.
     #[error("{path:?} has mode {found:04o}, allowed is 0700. Run `chmod 700 {}`", path.display())]
-    Mode {
-        /// The path.
-        path: PathBuf,
-        /// Its permission bits.
-        found: u32,
-    },
+    Mode { path: PathBuf, found: u32 },
     /// Not created by joulebus, or its marker is damaged.
     #[error(
         "{path:?} was not made by joulebus: it has no file {marker} that says so. No file in it is read, \
          changed or removed. Set another `fleet.name` or `domain.root`, or move it away. If an older \
          release made it, end that release's processes, look at what is in it, and remove it by hand"
     )]
-    Unmarked {
-        /// The path.
-        path: PathBuf,
-        /// The marker's name.
-        marker: &'static str,
-    },
+    Unmarked { path: PathBuf, marker: &'static str },
     /// Created by joulebus for other processes.
     #[error(
         "{path:?} is in use for {found}, wanted is {wanted}: set another `domain.root`, or end those \
          processes and run `joulebus doctor --fix` with their config"
     )]
-    AnotherFleet {
-        /// The path.
-        path: PathBuf,
-        /// Contents of its marker.
-        found: String,
-        /// Expected contents.
-        wanted: String,
-    },
+    AnotherFleet { path: PathBuf, found: String, wanted: String },
     /// The path is a mount point.
     #[error(
         "{path:?} is a mount point, which joulebus did not make. Unmount it, or set another \
             `domain.root`"
     )]
-    MountPoint {
-        /// The path.
-        path: PathBuf,
-    },
+    MountPoint { path: PathBuf },
     /// The parent directory does not exist.
     #[error(
         "{path:?} cannot be made, because {parent:?} does not exist. Make it, or set another \
             `domain.root`"
     )]
-    NoParent {
-        /// The path.
-        path: PathBuf,
-        /// The parent directory.
-        parent: PathBuf,
-    },
+    NoParent { path: PathBuf, parent: PathBuf },
     /// The system call failed.
     #[error("{path:?}: {source}")]
-    Io {
-        /// The path.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 impl RootError {

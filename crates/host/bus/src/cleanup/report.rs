@@ -22,7 +22,6 @@ pub struct SweepReport {
 
 impl SweepReport {
     /// True if no stale files were found.
-    #[must_use]
     pub const fn is_clean(&self) -> bool {
         self.dead_nodes == 0
             && self.failed_nodes == 0

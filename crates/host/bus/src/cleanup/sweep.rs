@@ -124,6 +124,7 @@ fn remove_files(
 /// Reason that stale files could not be removed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum SweepError {
     /// The root is not private to this user.
     #[error(transparent)]
@@ -136,12 +137,7 @@ pub enum SweepError {
     Lock(#[from] io::Error),
     /// A file could not be removed.
     #[error("cannot remove {path:?}: {source}")]
-    Remove {
-        /// The file.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Remove { path: PathBuf, source: io::Error },
 }
 
 impl SweepError {

@@ -27,7 +27,6 @@ impl PeerWatch {
     }
 
     /// True if the process has ended, even if its parent has not waited for it.
-    #[must_use]
     pub fn is_gone(&self) -> bool {
         let mut polled = [PollFd::new(&self.descriptor, PollFlags::IN)];
         let now = Timespec { tv_sec: 0, tv_nsec: 0 };

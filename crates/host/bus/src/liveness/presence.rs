@@ -51,9 +51,6 @@ impl Presence {
     }
 
     /// Checks all files. A missing file is reported permanently.
-    ///
-    /// # Errors
-    /// [`FilesRemoved`] with the first missing file.
     pub(crate) fn look(&self) -> Result<(), FilesRemoved> {
         let files = self.files();
         if let Some(file) = files.iter().find(|file| identity(&file.path) != Some(file.identity)) {
@@ -65,9 +62,6 @@ impl Presence {
     }
 
     /// Result of the last check. One atomic load.
-    ///
-    /// # Errors
-    /// [`FilesRemoved`].
     pub(crate) fn check(&self) -> Result<(), FilesRemoved> {
         if !self.is_lost.load(Ordering::Acquire) {
             return Ok(());

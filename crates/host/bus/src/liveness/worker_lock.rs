@@ -347,39 +347,27 @@ impl WorkerLockError {
 /// Reason that a process may not be the worker.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum WorkerLockError {
     /// Another worker is alive.
     #[error(
         "fleet {fleet:?} already has a worker{}, or run this one for another fleet",
         remedy(*owner, path)
     )]
-    AlreadyRunning {
-        /// Name of the fleet.
-        fleet: String,
-        /// The holder.
-        owner: WorkerOwner,
-        /// The lock file.
-        path: PathBuf,
-    },
+    AlreadyRunning { fleet: String, owner: WorkerOwner, path: PathBuf },
     /// No worker has the lock, but a process that looked for one does not let it go.
     #[error(
         "{path:?} is held for more than {} s by a process that looks whether there is a worker: it is stopped, or \
          in a debugger. `lslocks` names it. Let it go on, or end it",
         RETRY_TIMEOUT.as_secs()
     )]
-    Looked {
-        /// The lock file.
-        path: PathBuf,
-    },
+    Looked { path: PathBuf },
     /// The file is not a lock file.
     #[error(
         "{path:?} is not a lock file of joulebus: it is a link, a special file, or holds \
             something else. It is left as it is. Move it away, or set another `domain.root`"
     )]
-    NotALock {
-        /// The file.
-        path: PathBuf,
-    },
+    NotALock { path: PathBuf },
     /// Too little shared memory.
     #[error(transparent)]
     Capacity(#[from] CapacityError),
@@ -388,17 +376,11 @@ pub enum WorkerLockError {
     Root(#[from] RootError),
     /// The system call failed.
     #[error("cannot lock {path:?}: {source}")]
-    Io {
-        /// The lock file.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
 }
 
 impl WorkerOwner {
     /// True if the holder is a link, which has the worker's place on a host without one.
-    #[must_use]
     pub fn is_link(self) -> bool {
         let program = self.pid.and_then(|pid| fs::read_link(format!("/proc/{pid}/exe")).ok());
         // The program may have been replaced since: its name ends differently then.

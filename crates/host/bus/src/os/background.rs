@@ -21,15 +21,9 @@ pub trait Steps {
 pub trait Rounds<T, E> {
     /// Does what is due, and waits for more. Returns a pause before the next round. Zero after a
     /// round that has waited.
-    ///
-    /// # Errors
-    /// The work ends with it.
     fn round(&mut self) -> Result<Duration, E>;
 
     /// Ends the work after its last round.
-    ///
-    /// # Errors
-    /// The work ends with it.
     fn finish(self) -> Result<T, E>;
 }
 
@@ -55,13 +49,11 @@ pub struct ThreadWatch {
 
 impl ThreadWatch {
     /// The thread's name.
-    #[must_use]
     pub fn name(&self) -> &str {
         &self.name
     }
 
     /// True if it has ended, by itself, by a panic, or because it was asked to.
-    #[must_use]
     pub fn has_ended(&self) -> bool {
         self.lives.strong_count() == 0
     }
@@ -77,8 +69,8 @@ pub struct Running<J = ()> {
 /// The thread has panicked.
 #[derive(Debug, thiserror::Error)]
 #[error("the thread {name} panicked")]
+#[allow(missing_docs)] // The messages name the fields.
 pub struct Panicked {
-    /// Its name.
     pub name: String,
 }
 
@@ -90,7 +82,6 @@ impl<J> Running<J> {
     }
 
     /// True if the thread is to end.
-    #[must_use]
     pub fn is_stopping(&self) -> bool {
         self.stop.load(Ordering::Relaxed)
     }
@@ -195,13 +186,11 @@ impl<T: Send + 'static> Background<T> {
 
 impl<T> Background<T> {
     /// True if the thread has ended by itself.
-    #[must_use]
     pub fn has_ended(&self) -> bool {
         self.thread.as_ref().is_none_or(JoinHandle::is_finished)
     }
 
     /// Tells others whether the thread has ended.
-    #[must_use]
     pub fn watch(&self) -> ThreadWatch {
         self.watch.clone()
     }

@@ -15,9 +15,6 @@ pub(crate) use joulebus_domain::SHM_DIR;
 const MAX_AT_ONCE: usize = 64 << 20;
 
 /// Allocates the first `bytes` of a new file in shared memory: no SIGBUS later.
-///
-/// # Errors
-/// `StorageFull` if they do not fit.
 pub(crate) fn reserve(file: impl AsFd, bytes: u64) -> io::Result<()> {
     loop {
         match fallocate(&file, FallocateFlags::empty(), 0, bytes) {

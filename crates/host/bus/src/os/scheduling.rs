@@ -109,7 +109,6 @@ impl Rights {
 
     /// True if all memory may be locked, including future mappings: a finite limit is not
     /// sufficient, because beyond it every new mapping would fail.
-    #[must_use]
     pub const fn allow_locking(&self) -> bool {
         self.may_lock_any_memory || self.memory_limit.is_none()
     }
@@ -118,35 +117,24 @@ impl Rights {
 /// A refused request.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum SchedulingError {
     /// The CPU does not exist or is not allowed for this process.
     #[error(
         "the tick's thread cannot stay on CPU {cpu} ({source}): this process may use {allowed:?}. \
             Change `worker.cpus`, or the cpuset or `taskset` that the worker was started with"
     )]
-    Cpu {
-        /// The requested CPU.
-        cpu: usize,
-        /// The CPUs allowed for the process.
-        allowed: Vec<usize>,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Cpu { cpu: usize, allowed: Vec<usize>, source: io::Error },
     /// Real-time priority was refused.
     #[error(
         "SCHED_FIFO priority {priority} was refused ({source}): RLIMIT_RTPRIO is {limit}, \
          CAP_SYS_NICE is {capability}. {remedy}, or set `worker.priority = 0`"
     )]
     Priority {
-        /// The requested priority.
         priority: u8,
-        /// The limit as text.
         limit: String,
-        /// Presence of the capability as text.
         capability: &'static str,
-        /// Remedy.
         remedy: String,
-        /// The error of the system.
         source: io::Error,
     },
     /// Memory cannot be locked.
@@ -156,9 +144,7 @@ pub enum SchedulingError {
          memlock unlimited` into /etc/security/limits.conf, or set `worker.memory = \"unlocked\"`"
     )]
     Memory {
-        /// The limit as text.
         limit: String,
-        /// Presence of the capability as text.
         capability: &'static str,
         /// The error of the system, or the reason for not requesting it.
         reason: String,

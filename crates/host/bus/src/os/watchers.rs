@@ -19,9 +19,6 @@ pub(crate) struct Watchers {
 
 impl Watchers {
     /// From now on `epoll` is readable when `descriptor` is.
-    ///
-    /// # Errors
-    /// The operating system's.
     pub(crate) fn add(&self, epoll: &Arc<OwnedFd>, descriptor: BorrowedFd<'_>) -> io::Result<()> {
         let data = epoll::EventData::new_u64(0);
         epoll::add(epoll, descriptor, data, epoll::EventFlags::IN)?;

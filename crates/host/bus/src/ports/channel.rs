@@ -27,7 +27,6 @@ impl<C: Channel> Reader<C> {
     }
 
     /// Number of failed or broken connections to writers.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.inlet.degraded()
     }
@@ -142,19 +141,16 @@ impl<C: Channel> Writer<C> {
     }
 
     /// Number of readers of the service. A killed one counts until the cleanup.
-    #[must_use]
     pub fn readers(&self) -> usize {
         self.outlet.readers()
     }
 
     /// Maximum number of elements per frame.
-    #[must_use]
     pub const fn max_len(&self) -> usize {
         self.outlet.max_len()
     }
 
     /// Number of failed or broken connections to readers: these miss frames.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.outlet.degraded()
     }

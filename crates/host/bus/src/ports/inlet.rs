@@ -52,7 +52,6 @@ impl InFrame {
         ptr::with_exposed_provenance(ptr::from_ref(self.sample.user_header()).addr())
     }
 
-    /// Its rows.
     pub(super) fn bytes(&self) -> *const [CustomPayloadMarker] {
         self.sample.payload()
     }
@@ -220,6 +219,7 @@ fn subscribe(
 /// Reason that no frame could be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ReceiveError {
     /// Files of this process were removed: every further call fails as well.
     #[error(transparent)]
@@ -230,14 +230,8 @@ pub enum ReceiveError {
         "{connections} connections to writers failed so far. Are there file descriptors left \
          (`ulimit -n`), and shared memory? `joulebus doctor` tells"
     )]
-    Degraded {
-        /// Connections failed since the port was opened.
-        connections: u64,
-    },
+    Degraded { connections: u64 },
     /// iceoryx2 returned an error.
     #[error("cannot receive: {reason}")]
-    Receive {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Receive { reason: String },
 }

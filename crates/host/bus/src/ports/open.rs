@@ -91,7 +91,6 @@ impl Bus {
     }
 
     /// Waits for times instead: readers that look now and then.
-    #[must_use]
     pub fn planner_poller(&self) -> Poller {
         Poller::new(self)
     }

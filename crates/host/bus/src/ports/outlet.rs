@@ -37,7 +37,6 @@ impl OutFrame {
         ptr::with_exposed_provenance_mut(ptr::from_mut(self.0.user_header_mut()).addr())
     }
 
-    /// Its rows.
     pub(super) fn bytes_mut(&mut self) -> *mut [CustomPayloadMarker] {
         self.0.payload_mut()
     }
@@ -178,35 +177,24 @@ pub struct Sent {
 /// Reason that a frame was not sent.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum SendError {
     /// Files of this process were removed.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
     /// The frame is longer than the port was opened for.
     #[error("a frame of {found} elements, allowed are {allowed}")]
-    TooLong {
-        /// Elements in the frame.
-        found: usize,
-        /// Elements allowed.
-        allowed: usize,
-    },
+    TooLong { found: usize, allowed: usize },
     /// No memory for the frame: readers hold more frames than allowed.
     #[error("no memory for a frame: {reason}")]
-    Loan {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Loan { reason: String },
     /// The frame could not be delivered to any reader.
     #[error("cannot send a frame: {reason}. Join again")]
-    Send {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Send { reason: String },
 }
 
 impl SendError {
     /// True if every further frame will fail as well: this process must end, or join again.
-    #[must_use]
     pub const fn is_final(&self) -> bool {
         matches!(self, Self::Removed(_))
     }

@@ -43,9 +43,6 @@ pub(super) struct Places<'a, N> {
 impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
     /// Creates a port as [`service::create`] does, where there is a place for it. `full`: the error
     /// of iceoryx2 that all places are taken.
-    ///
-    /// # Errors
-    /// [`OpenError::Places`] if all are, or else [`OpenError::Port`].
     pub(super) fn create<P, E: Copy + Display + PartialEq>(
         &self,
         make: impl Fn() -> Result<P, E>,

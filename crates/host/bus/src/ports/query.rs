@@ -200,25 +200,21 @@ impl QueryServer {
 
 impl OpenQuery {
     /// Its header.
-    #[must_use]
     pub fn header(&self) -> &QueryHeader {
         self.request.user_header()
     }
 
     /// Its values.
-    #[must_use]
     pub fn values(&self) -> &[f64] {
         self.request.payload()
     }
 
     /// The process that asked.
-    #[must_use]
     pub fn client(&self) -> u32 {
         process_of(self.request.origin().value())
     }
 
     /// False once its client has stopped waiting. True of a killed one until the cleanup.
-    #[must_use]
     pub fn is_connected(&self) -> bool {
         self.request.is_connected()
     }
@@ -481,6 +477,7 @@ impl QueryClient {
 /// Reason that a question has no answer.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum QueryError {
     /// Files of this process were removed.
     #[error(transparent)]
@@ -512,24 +509,13 @@ pub enum QueryError {
         "no answer within {:.3} s: the worker is busy with other questions, or overloaded",
         *waited_ns as f64 * 1e-9
     )]
-    TimedOut {
-        /// Time waited, ns.
-        waited_ns: u64,
-    },
+    TimedOut { waited_ns: u64 },
     /// Too many values.
     #[error("a question of {found} values: allowed are {allowed}. Ask in this process instead")]
-    TooLong {
-        /// Values.
-        found: usize,
-        /// The greatest number.
-        allowed: usize,
-    },
+    TooLong { found: usize, allowed: usize },
     /// iceoryx2 refused.
     #[error("cannot ask the worker: {reason}. Join again")]
-    Send {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Send { reason: String },
     /// Waiting or waking failed.
     #[error(transparent)]
     Wait(#[from] WaitError),

@@ -79,7 +79,6 @@ impl<C: Channel> Reader<C> {
 
     /// The frame held by [`Reader::hold_latest`]: its header and its slice. Its writer could still
     /// change it (it does not): copy it where that matters.
-    #[must_use]
     pub fn held(&self) -> Option<(&C::Header, &[C::Row])> {
         let held = self.held.as_ref()?;
         Some((held.user_header(), held.payload()))
@@ -95,7 +94,6 @@ impl<C: Channel> Reader<C> {
     }
 
     /// Number of skipped frames on a service of the worker that another process has sent.
-    #[must_use]
     pub fn foreign(&self) -> u64 {
         self.worker().map_or(0, WorkerPorts::foreign)
     }
@@ -120,13 +118,11 @@ impl<C: Channel> Frame<'_, C> {
     }
 
     /// The frame's header.
-    #[must_use]
     pub fn header(&self) -> &C::Header {
         self.frame.user_header()
     }
 
     /// The frame's slice.
-    #[must_use]
     pub fn payload(&self) -> &[C::Row] {
         self.frame.payload()
     }

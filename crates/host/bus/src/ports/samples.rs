@@ -60,7 +60,6 @@ impl SampleReader {
     }
 
     /// Number of failed or broken connections to sources.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.reader.degraded()
     }
@@ -80,37 +79,31 @@ pub struct IncomingFrame<'a> {
 
 impl IncomingFrame<'_> {
     /// The header.
-    #[must_use]
     pub const fn header(&self) -> &SampleHeader {
         &self.header
     }
 
     /// Id of the port that sent it: unique among all ports, also those that are gone.
-    #[must_use]
     pub fn port(&self) -> u128 {
         self.received.writer()
     }
 
     /// Watches the port that sent it. Allocates.
-    #[must_use]
     pub fn watch_port(&self) -> WriterWatch {
         WriterWatch::new(&self.member, self.port())
     }
 
     /// Number of samples that will be copied.
-    #[must_use]
     pub const fn len(&self) -> usize {
         self.kept
     }
 
     /// True if there are none.
-    #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.kept == 0
     }
 
     /// Number of samples beyond the limit, which are not copied.
-    #[must_use]
     pub fn truncated(&self) -> usize {
         self.received.payload().len() - self.kept
     }
@@ -147,19 +140,16 @@ impl FrameBuf {
     }
 
     /// The header.
-    #[must_use]
     pub const fn header(&self) -> &SampleHeader {
         &self.header
     }
 
     /// The samples, at most the capacity.
-    #[must_use]
     pub fn samples(&self) -> &[Sample] {
         &self.samples
     }
 
     /// Number of samples beyond the capacity, which were not copied.
-    #[must_use]
     pub const fn truncated(&self) -> usize {
         self.truncated
     }
@@ -209,13 +199,11 @@ impl SampleWriter {
     }
 
     /// Maximum number of samples per frame.
-    #[must_use]
     pub const fn max_len(&self) -> usize {
         self.writer.max_len()
     }
 
     /// Number of failed or broken connections to readers.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.writer.degraded()
     }

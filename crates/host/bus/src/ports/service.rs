@@ -215,9 +215,6 @@ fn retry<S, E: Debug>(
 
 /// Creates a port. Ports of killed processes take places until members, once a second, remove their
 /// nodes. If no place is left that is done at once, as long as there are such nodes.
-///
-/// # Errors
-/// The error of iceoryx2.
 pub(super) fn create<P, E>(
     bus: &Bus,
     port: impl Fn() -> Result<P, E>,
@@ -384,28 +381,17 @@ fn refused(
 /// Reason that a port could not be opened.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum OpenError {
     /// Another process of the fleet uses other limits.
     #[error(
         "service {service:?} runs with limits {found}, wanted are {wanted}. Use one config for \
          all processes of a fleet, and restart those with the old one"
     )]
-    Limits {
-        /// The service.
-        service: &'static str,
-        /// Limits in use.
-        found: String,
-        /// Limits of this process.
-        wanted: String,
-    },
+    Limits { service: &'static str, found: String, wanted: String },
     /// A length of frame of 0, or beyond the capacity.
     #[error("frames of up to {found} samples: allowed are 1 to {allowed}, the fleet's capacity")]
-    Length {
-        /// Requested length.
-        found: usize,
-        /// The capacity.
-        allowed: usize,
-    },
+    Length { found: usize, allowed: usize },
     /// Too little shared memory.
     #[error(transparent)]
     Capacity(#[from] CapacityError),
@@ -418,25 +404,13 @@ pub enum OpenError {
          End one of them. A greater `readers.max_planners`, set for all processes of the fleet, gives \
          planners more ports"
     )]
-    Places {
-        /// The service.
-        service: &'static str,
-        /// Places that planners and views may have.
-        allowed: usize,
-        /// The holders: names and pids.
-        holders: String,
-    },
+    Places { service: &'static str, allowed: usize, holders: String },
     /// iceoryx2 refused.
     #[error(
         "service {service:?}: {reason}. Are all processes of the same version, and are there more \
          than the limits allow? `joulebus doctor` lists them"
     )]
-    Port {
-        /// The service.
-        service: &'static str,
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Port { service: &'static str, reason: String },
 }
 
 impl OpenError {

@@ -71,9 +71,6 @@ impl Waker {
     }
 
     /// Wakes the waiter of this id ([`Waiter::id`]), if there is one.
-    ///
-    /// # Errors
-    /// [`WaitError::Notify`].
     pub(super) fn wake_one(&self, waiter: u128, event: WakeEvent) -> Result<(), WaitError> {
         let mut woken = Ok(());
         self.notifier.for_each_listener(|one, listener| {
@@ -107,7 +104,6 @@ pub struct Woken {
 
 impl Woken {
     /// True if nothing is set.
-    #[must_use]
     pub fn is_nothing(&self) -> bool {
         *self == Self::default()
     }
@@ -232,22 +228,17 @@ impl Drop for Waiter {
 /// Reason that waiting or waking failed.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum WaitError {
     /// Files of this process were removed.
     #[error(transparent)]
     Removed(#[from] FilesRemoved),
     /// iceoryx2 could not notify.
     #[error("cannot wake the others: {reason}")]
-    Notify {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Notify { reason: String },
     /// iceoryx2 could not read the listener.
     #[error("cannot read what woke us: {reason}. Join again")]
-    Listen {
-        /// The error of iceoryx2.
-        reason: String,
-    },
+    Listen { reason: String },
     /// `poll` failed.
     #[error("cannot wait: {0}")]
     Poll(io::Error),

@@ -23,7 +23,6 @@ impl WriterWatch {
     }
 
     /// True while the port can send frames. Does not allocate.
-    #[must_use]
     pub fn is_open(&self) -> bool {
         self.memory.as_ref().is_some_and(|memory| fs::symlink_metadata(memory).is_ok())
     }
