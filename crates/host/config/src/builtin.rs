@@ -63,7 +63,6 @@ pub struct Demo {
 
 impl Demo {
     /// The annotated file of the fleet, for all its processes. [`crate::Config::load`] checks it.
-    #[must_use]
     pub fn toml(&self) -> String {
         let root = self.root.to_string_lossy();
         let last = self.robots.saturating_sub(1);

@@ -18,15 +18,11 @@ pub struct Bundle {
 /// Errors of making a bundle.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum BundleError {
     /// A model could not be read.
     #[error("cannot read model {path:?}: {source}")]
-    Model {
-        /// The model.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
+    Model { path: PathBuf, source: std::io::Error },
 }
 
 impl Config {

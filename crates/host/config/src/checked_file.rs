@@ -86,7 +86,6 @@ impl CheckedFile {
     }
 
     /// The keys outside of all sections.
-    #[must_use]
     pub fn root(&self) -> Section<'_> {
         Section { values: &self.values, path: self.file.root().to_owned(), name: "*" }
     }
@@ -130,7 +129,6 @@ impl Deref for Text {
 
 impl Text {
     /// The path that the text is, relative to the folder of its file.
-    #[must_use]
     pub fn file(&self) -> PathBuf {
         let folder = self.location.directory.as_deref();
         folder.map_or_else(|| PathBuf::from(&self.text), |folder| folder.join(&self.text))
@@ -208,7 +206,6 @@ impl<'a> Section<'a> {
     }
 
     /// The free name of this entry.
-    #[must_use]
     pub fn name(&self) -> Option<Text> {
         let location = self.location("")?.clone();
         Some(Text { text: self.name.to_owned(), key: self.shown(""), location })

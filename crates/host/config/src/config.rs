@@ -182,43 +182,36 @@ impl Config {
     }
 
     /// Name of the fleet.
-    #[must_use]
     pub fn fleet(&self) -> &str {
         &self.fleet
     }
 
     /// Private directory of the fleet's shared memory, absolute, `{uid}` replaced.
-    #[must_use]
     pub fn root(&self) -> &Path {
         &self.root
     }
 
     /// Prefix of every name in shared memory.
-    #[must_use]
     pub fn prefix(&self) -> &str {
         &self.prefix
     }
 
     /// Settings of the tick. They have passed [`FleetSettings::check`].
-    #[must_use]
     pub const fn settings(&self) -> &FleetSettings {
         &self.settings
     }
 
     /// When a tick is due.
-    #[must_use]
     pub const fn policy(&self) -> Policy {
         self.policy
     }
 
     /// Minimum time between two ticks, ns.
-    #[must_use]
     pub const fn tick_period_ns(&self) -> u64 {
         self.tick_period_ns
     }
 
     /// The model of each platform of [`Config::settings`], in the same order.
-    #[must_use]
     pub fn models(&self) -> &[ModelSource] {
         &self.models
     }
@@ -238,63 +231,53 @@ impl Config {
     }
 
     /// Frames of each source buffered in shared memory.
-    #[must_use]
     pub const fn buffer_frames(&self) -> usize {
         self.buffer_frames
     }
 
     /// Planners, live views and recorders that can be connected at the same time.
-    #[must_use]
     pub const fn max_planners(&self) -> usize {
         self.max_planners
     }
 
     /// Silence of the worker that is reported to people, ns. Planners get a report of two missed
     /// ticks.
-    #[must_use]
     pub const fn worker_stale_after_ns(&self) -> u64 {
         self.worker_stale_after_ns
     }
 
     /// File in which the energy ledger and the batteries are saved.
-    #[must_use]
     pub const fn checkpoint(&self) -> &Checkpoint {
         &self.checkpoint
     }
 
     /// Time between two checkpoints, ns.
-    #[must_use]
     pub const fn checkpoint_every_ns(&self) -> u64 {
         self.checkpoint_every_ns
     }
 
     /// Scheduling of the tick threads.
-    #[must_use]
     pub const fn scheduling(&self) -> &Scheduling {
         &self.scheduling
     }
 
     /// The threads of the worker's tick.
-    #[must_use]
     pub const fn threads(&self) -> Threads {
         self.threads
     }
 
     /// The thread that answers questions about plans.
-    #[must_use]
     pub const fn queries(&self) -> Queries {
         self.queries
     }
 
     /// Values that are allowed but doubtful.
-    #[must_use]
     pub fn warnings(&self) -> &[Problem] {
         &self.warnings
     }
 
     /// The whole config as one file: defaults, platforms and paths resolved, each value with its
     /// origin. Reading it gives the same config.
-    #[must_use]
     pub fn to_toml(&self) -> &str {
         &self.shown
     }

@@ -396,9 +396,6 @@ impl Walk<'_> {
 }
 
 /// Checks a word or a text.
-///
-/// # Errors
-/// The found text, and advice.
 fn text(key: &Key, text: &str) -> Result<(), (String, Option<String>)> {
     match key.kind {
         ValueKind::Text(rule) | ValueKind::Texts { rule, .. } if rule.allows(text) => Ok(()),

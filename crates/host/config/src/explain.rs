@@ -29,10 +29,9 @@ pub struct Explanation {
 /// No such key or section.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("`{key}` is not a key of a config. {remedy}")]
+#[allow(missing_docs)] // The messages name the fields.
 pub struct UnknownKey {
-    /// The requested key.
     pub key: String,
-    /// The nearest key and its meaning.
     pub remedy: String,
 }
 

@@ -49,7 +49,6 @@ impl File {
         [Self::Fleet, Self::Platform, Self::Bridge, Self::Link, Self::Webhooks];
 
     /// Its name, as `joulebus config schema` takes it.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Fleet => "fleet",
@@ -181,13 +180,11 @@ pub enum DefaultValue {
 
 impl Key {
     /// The key's name without its section.
-    #[must_use]
     pub fn name(&self) -> &'static str {
         self.path.rsplit('.').next().unwrap_or(self.path)
     }
 
     /// The path as written in the key's own file: without `platform.` in a platform file.
-    #[must_use]
     pub fn path_in_file(&self) -> &'static str {
         match self.file {
             File::Platform => self.path.strip_prefix("platform.").unwrap_or(self.path),
@@ -208,7 +205,6 @@ impl Key {
     }
 
     /// Its paths: several if a section has several names.
-    #[must_use]
     pub fn paths(&self) -> Vec<String> {
         self.path.split('.').fold(vec![String::new()], |paths, names| {
             let joined = |path: &String, name| match path.as_str() {
@@ -221,7 +217,6 @@ impl Key {
     }
 
     /// Allowed values, as text.
-    #[must_use]
     pub fn range(&self) -> String {
         match self.kind {
             ValueKind::Integer { min, max } => format!("whole number, {min} to {max}"),
@@ -245,7 +240,6 @@ impl Key {
     }
 
     /// The default, as text.
-    #[must_use]
     pub fn default_words(&self) -> String {
         match self.default {
             DefaultValue::Required => "required".to_owned(),
@@ -258,7 +252,6 @@ impl Key {
     }
 
     /// Unit, range and default on one line, as in the comments of the shipped files.
-    #[must_use]
     pub fn facts(&self) -> String {
         let mut facts = String::new();
         if !self.unit.is_empty() {
@@ -286,7 +279,6 @@ pub(crate) fn voltages(text: &str) -> Option<Vec<f64>> {
 
 impl TextRule {
     /// The format as text.
-    #[must_use]
     pub const fn words(self) -> &'static str {
         match self {
             Self::Name => "1 to 32 letters, digits, - and _",
@@ -310,7 +302,6 @@ impl TextRule {
     }
 
     /// A regular expression of the format, if it has one.
-    #[must_use]
     pub const fn pattern(self) -> Option<&'static str> {
         match self {
             Self::Name => Some("^[A-Za-z0-9_-]{1,32}$"),

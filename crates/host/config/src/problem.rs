@@ -70,15 +70,11 @@ impl fmt::Display for Problem {
 /// Errors of reading a config.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ConfigError {
     /// The file of the fleet could not be read.
     #[error("cannot read the config {}: {source}. Name an existing file with --config", path.display())]
-    Read {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
+    Read { path: PathBuf, source: std::io::Error },
     /// The config is refused.
     #[error("{}", listed(.0))]
     Refused(
@@ -89,7 +85,6 @@ pub enum ConfigError {
 
 impl ConfigError {
     /// All problems, none if the file could not be read.
-    #[must_use]
     pub fn problems(&self) -> &[Problem] {
         match self {
             Self::Read { .. } => &[],

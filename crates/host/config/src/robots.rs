@@ -8,9 +8,6 @@ use toml::de::DeValue;
 use crate::numbers::integer;
 
 /// Parses one entry of the list in `source`: an id, or an inclusive range `"a-b"`.
-///
-/// # Errors
-/// The fault of the entry.
 pub(crate) fn parse(
     entry: &Spanned<DeValue<'_>>,
     source: &str,

@@ -22,7 +22,6 @@ impl Config {
     }
 
     /// The limits that all processes of the fleet must share.
-    #[must_use]
     pub fn limits(&self) -> Limits {
         let (least, most) = FORECAST_FRAMES;
         let capacity = self.settings().capacity as usize;

@@ -91,7 +91,6 @@ pub(crate) struct Values {
 /// A table of a list, or an entry of a section with free names.
 #[derive(Debug, Clone)]
 pub(crate) struct Child {
-    /// The free name.
     pub(crate) name: Option<String>,
     pub(crate) location: Location,
     pub(crate) values: Values,
@@ -180,7 +179,6 @@ pub(crate) fn quoted(text: &str) -> String {
     quoted
 }
 
-/// The default.
 pub(crate) fn preset(key: &Key) -> Option<Value> {
     match key.default {
         DefaultValue::Required | DefaultValue::Unset => None,
