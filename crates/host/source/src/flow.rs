@@ -69,7 +69,6 @@ impl Flow {
     }
 
     /// The fleet's domain.
-    #[must_use]
     pub const fn domain(&self) -> &Domain {
         &self.domain
     }

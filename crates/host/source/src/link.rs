@@ -43,19 +43,16 @@ impl Link {
     }
 
     /// The fleet's domain.
-    #[must_use]
     pub const fn domain(&self) -> &Domain {
         &self.domain
     }
 
     /// Maximum number of samples per frame.
-    #[must_use]
     pub const fn capacity(&self) -> usize {
         self.publisher.capacity()
     }
 
     /// When this run of the source began, monotonic ns.
-    #[must_use]
     pub const fn epoch(&self) -> u64 {
         self.publisher.source_epoch()
     }

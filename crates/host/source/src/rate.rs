@@ -9,7 +9,6 @@ pub struct Hertz(f64);
 
 impl Hertz {
     /// Time between two frames, ns.
-    #[must_use]
     pub fn period_ns(self) -> u64 {
         // The range is checked at construction.
         (1e9 / self.0).round() as u64
@@ -56,7 +55,6 @@ pub enum Rate {
 
 impl Rate {
     /// True if the source could be too fast for a worker.
-    #[must_use]
     pub const fn is_faster_than_recorded(self) -> bool {
         match self {
             Self::Times(factor) => factor > 1.0,

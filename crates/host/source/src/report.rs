@@ -55,7 +55,6 @@ pub struct PlayedTrial {
 
 impl PublishReport {
     /// True if samples did not reach a worker that should have.
-    #[must_use]
     pub const fn has_lost(&self) -> bool {
         self.frames_failed > 0 || self.frames_unanswered > 0
     }

@@ -85,13 +85,11 @@ impl Window {
     }
 
     /// Frames that are not answered yet.
-    #[must_use]
     pub fn len(&self) -> usize {
         self.frames.len()
     }
 
     /// True if every frame is answered.
-    #[must_use]
     pub fn is_empty(&self) -> bool {
         self.frames.is_empty()
     }
