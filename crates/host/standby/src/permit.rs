@@ -99,25 +99,16 @@ fn parse(text: &str) -> Option<(&str, Permit)> {
 /// Reason that a permit could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum PermitError {
     /// The system call failed.
     #[error("permit {path:?}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The file is something else.
     #[error(
         "{path:?} is not a permit, but {found:?}: remove it, and start the link of this host again"
     )]
-    Malformed {
-        /// The file.
-        path: PathBuf,
-        /// Start of its contents.
-        found: String,
-    },
+    Malformed { path: PathBuf, found: String },
 }
 
 #[cfg(test)]

@@ -73,7 +73,6 @@ impl SavedState {
     }
 
     /// Sort key by age: the term, then the time at which it was taken.
-    #[must_use]
     pub const fn order(&self) -> (u64, u64) {
         (self.term, self.taken_ns)
     }
@@ -119,23 +118,14 @@ fn boot_bytes() -> io::Result<[u8; MAX_BOOT_ID_BYTES]> {
 /// Reason that a state could not be read or written.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum SavedStateError {
     /// The system call failed.
     #[error("state {path:?}: {source}")]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The error of the system.
-        source: io::Error,
-    },
+    Io { path: PathBuf, source: io::Error },
     /// The file is damaged, or something else.
     #[error("state {path:?} is damaged: {reason}. Remove it if it stays so")]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The defect.
-        reason: String,
-    },
+    Damaged { path: PathBuf, reason: String },
 }
 
 #[cfg(test)]
