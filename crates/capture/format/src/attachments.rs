@@ -92,14 +92,12 @@ impl Attachments {
 
     /// Number of the rules by which recorded answers about plans were computed
     /// ([`ANSWER_RULES`]). 1 where the file does not state it.
-    #[must_use]
     pub fn answer_rules(&self) -> u32 {
         self.rules("answer_rules")
     }
 
     /// Number of the rules by which the recorded ticks were computed ([`TICK_RULES`]). 1 where the
     /// file does not state it.
-    #[must_use]
     pub fn tick_rules(&self) -> u32 {
         self.rules("tick_rules")
     }
@@ -125,7 +123,6 @@ impl Attachments {
     }
 
     /// Relation of the capture's times to the monotonic clock of the recording host.
-    #[must_use]
     pub fn clock(&self) -> Option<Clock> {
         let offset_ns = self.about("clock_offset_ns")?.parse().ok()?;
         Some(Clock { offset_ns })
@@ -154,7 +151,6 @@ impl Attachments {
 
     /// Attachments whose bytes differ from their hash in the capture, or that have no hash, and the
     /// [`joulebus` record](Attachments::about) if it differs. Earlier versions have no hash of that.
-    #[must_use]
     pub fn altered(&self) -> Vec<&str> {
         let hashes = self.metadata.get(HASHES);
         let of_about = hashes.and_then(|hashes| hashes.get(ABOUT));

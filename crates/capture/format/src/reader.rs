@@ -128,7 +128,6 @@ impl<S: Read> Reader<S> {
 
     /// Config, models and build, and the file's metadata. In files of other programs only those
     /// before the first message.
-    #[must_use]
     pub const fn attachments(&self) -> &Attachments {
         &self.contents.attachments
     }
@@ -297,6 +296,7 @@ fn damage(error: McapError, read_bytes: u64) -> ReadError {
 /// Errors of reading a capture.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ReadError {
     /// The file could not be opened or read.
     #[error("cannot read the capture: {0}")]
@@ -307,10 +307,7 @@ pub enum ReadError {
         "the capture ends after {bytes} bytes without its last records. `joulebus recover` makes \
             it whole"
     )]
-    Truncated {
-        /// Bytes of the file.
-        bytes: u64,
-    },
+    Truncated { bytes: u64 },
     /// The file is of another program.
     #[error("found {found}, expected a capture of joulebus (.mcap)")]
     Foreign {
@@ -319,18 +316,8 @@ pub enum ReadError {
     },
     /// The file is corrupt, or not a capture.
     #[error("the capture is damaged: {detail}. `joulebus recover` saves what can be read")]
-    Damaged {
-        /// The error.
-        detail: String,
-    },
+    Damaged { detail: String },
     /// A message does not match its channel's schema. The next one can be read.
     #[error("message {sequence} of {topic} cannot be read: {source}")]
-    Message {
-        /// Its topic.
-        topic: String,
-        /// Its sequence number.
-        sequence: u32,
-        /// The error.
-        source: DecodeError,
-    },
+    Message { topic: String, sequence: u32, source: DecodeError },
 }

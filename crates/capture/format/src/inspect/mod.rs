@@ -408,7 +408,6 @@ impl Inspector {
         (schemas, u32::try_from(used().count()).unwrap_or(u32::MAX))
     }
 
-    /// The expected statistics.
     fn counted(&self) -> mcap::records::Statistics {
         let (start, end) = self.span_ns.unwrap_or_default();
         let small = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);

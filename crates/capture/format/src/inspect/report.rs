@@ -59,7 +59,6 @@ pub struct Inspection {
 
 impl Inspection {
     /// True if there are no errors.
-    #[must_use]
     pub fn is_sound(&self) -> bool {
         self.errors == 0
     }

@@ -16,12 +16,10 @@ pub(super) const MAX_DEPTH: u32 = 100;
 /// A number in a capture that exceeds its field in shared memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{field} = {found}: allowed are 0 to {allowed}")]
+#[allow(missing_docs)] // The messages name the fields.
 pub struct OutOfRange {
-    /// The field.
     pub field: &'static str,
-    /// Its value.
     pub found: i128,
-    /// The maximum.
     pub allowed: u64,
 }
 
@@ -260,7 +258,6 @@ impl Encoder {
         Self { bytes, end }
     }
 
-    /// All bytes.
     pub(super) fn finish(mut self) -> Vec<u8> {
         self.bytes.truncate(self.end);
         self.bytes
@@ -458,9 +455,6 @@ impl<'a> Decoded<'a> {
 
     /// Decodes a whole message. Afterwards another can be decoded. A number that exceeds its field
     /// becomes `exceeds`, unless there is one already.
-    ///
-    /// # Errors
-    /// The bytes are no message.
     pub(super) fn row(
         &mut self,
         data: &[u8],
@@ -474,9 +468,6 @@ impl<'a> Decoded<'a> {
     }
 
     /// Takes the fields of a piece of the message. `part` those that are not of the struct.
-    ///
-    /// # Errors
-    /// The bytes are no message.
     pub(super) fn take(
         &mut self,
         data: &[u8],

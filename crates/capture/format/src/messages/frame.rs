@@ -248,7 +248,6 @@ impl Message {
     }
 
     /// The frame, if it is one of this channel.
-    #[must_use]
     pub fn frame<C: Channel>(&self) -> Option<&Frame<C>> {
         self.get()
     }

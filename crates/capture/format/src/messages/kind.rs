@@ -84,7 +84,6 @@ impl MessageKind {
 
     /// True if the worker sends one frame of it in every tick, or states in the tick's journal that
     /// it did not.
-    #[must_use]
     pub const fn is_of_tick(self) -> bool {
         let is_of_tick = matches!(self.rows, FrameRows::Robots | FrameRows::Taken);
         is_of_tick && !self.is_of_robot && !matches!(self.flow, Flow::Sources)

@@ -106,7 +106,6 @@ impl Message {
     }
 
     /// Its contents, if they are of this type.
-    #[must_use]
     pub fn get<T: Content>(&self) -> Option<&T> {
         let content: &dyn Any = self.known()?;
         content.downcast_ref()
@@ -131,31 +130,26 @@ impl Message {
     }
 
     /// Its kind. `None` for messages of other programs.
-    #[must_use]
     pub fn kind(&self) -> Option<MessageKind> {
         self.known().map(Content::kind)
     }
 
     /// Its robot, if it concerns a single one.
-    #[must_use]
     pub fn robot(&self) -> Option<u32> {
         self.known()?.robot()
     }
 
     /// Its order among those of its kind, where there is one.
-    #[must_use]
     pub fn order(&self) -> Option<FrameOrder> {
         self.known()?.order()
     }
 
     /// Send time, monotonic ns, if it has one. Diagnostics and single robots do not.
-    #[must_use]
     pub fn sent_ns(&self) -> Option<u64> {
         self.known()?.sent_ns()
     }
 
     /// Its approximate memory, bytes.
-    #[must_use]
     pub fn memory(&self) -> usize {
         match self {
             Self::Known(content) => size_of_val(&**content) + content.memory(),
@@ -207,19 +201,14 @@ pub(super) fn read<T: bytemuck::Pod>(bytes: &[u8]) -> T {
 /// Errors of decoding a message.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum DecodeError {
     /// The message has more rows than a fleet may have robots.
     #[error("{found} rows, allowed are {MAX_ROWS}, more than the robots of any fleet")]
-    TooManyRows {
-        /// Its rows.
-        found: usize,
-    },
+    TooManyRows { found: usize },
     /// Not protobuf, or not of this kind.
     #[error("{reason}")]
-    Protobuf {
-        /// The decoder's error.
-        reason: String,
-    },
+    Protobuf { reason: String },
     /// A number that exceeds its field.
     #[error(transparent)]
     OutOfRange(#[from] OutOfRange),
@@ -278,13 +267,11 @@ impl MessageKind {
 
     /// True if captures may have its rows as messages of single robots: the worker sends them, read
     /// or not.
-    #[must_use]
     pub const fn has_robots(self) -> bool {
         matches!(self.rows, FrameRows::Robots) && !self.flow.is_on_demand()
     }
 
     /// The name of the service.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         self.name
     }
@@ -296,7 +283,6 @@ impl MessageKind {
     }
 
     /// The protobuf file set that describes the messages: the schema's data.
-    #[must_use]
     pub fn descriptors(self) -> Vec<u8> {
         (self.descriptors)(self.message)
     }

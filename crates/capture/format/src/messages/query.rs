@@ -66,7 +66,6 @@ impl Query {
     }
 
     /// Memory of its parts, bytes.
-    #[must_use]
     pub const fn memory(&self) -> usize {
         size_of_val(self.values.as_slice())
             + size_of_val(self.rows.as_slice())

@@ -98,9 +98,7 @@ pub(super) enum Number {
     U64,
     /// 64 bits as they are.
     Fixed,
-    /// Single precision.
     F32,
-    /// Double precision.
     F64,
 }
 
@@ -155,9 +153,6 @@ pub(super) type Find<'a> = &'a dyn Fn(&str) -> Option<DescriptorProto>;
 impl Table {
     /// The table of a struct and its message. `parts` are fields of the message that are not in the
     /// struct, `lengths` fields of the struct that follow from these.
-    ///
-    /// # Errors
-    /// A field that has no counterpart.
     pub(super) fn new(
         layout: &StructLayout,
         message: &DescriptorProto,

@@ -13,7 +13,6 @@ pub(crate) struct Field<'a> {
 /// Contents of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Payload<'a> {
-    /// A number.
     Number,
     /// A message, text, bytes, or numbers one after the other.
     Bytes(&'a [u8]),

@@ -88,14 +88,12 @@ pub struct Recovery {
 
 impl Recovery {
     /// True if the file was valid.
-    #[must_use]
     pub fn is_clean(&self) -> bool {
         self.is_lossless() && self.trouble_count == 0
     }
 
     /// True if all records are in the result, without doubt. Indexes and checksums may have been
     /// lost, because they are recreated.
-    #[must_use]
     pub fn is_lossless(&self) -> bool {
         let is_whole = |counts: Counts| counts.lost + counts.suspect == 0;
         let kinds = self.kinds();

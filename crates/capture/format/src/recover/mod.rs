@@ -28,16 +28,14 @@ const TAIL_BYTES: u64 = 37;
 /// Errors of a recovery.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum RecoverError {
     /// The input is not an MCAP file, or cannot be read.
     #[error(transparent)]
     Read(#[from] ScanError),
     /// The result cannot be written.
     #[error("cannot write: {reason}")]
-    Write {
-        /// The error.
-        reason: String,
-    },
+    Write { reason: String },
 }
 
 impl From<io::Error> for RecoverError {

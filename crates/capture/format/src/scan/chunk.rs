@@ -22,7 +22,6 @@ pub(super) struct Chunk<R> {
     frame: ChunkFrame,
     body: Body<R>,
     crc: crc32fast::Hasher,
-    /// Decompressed bytes read.
     read: u64,
     /// Offset of the current record in the decompressed records.
     record: u64,

@@ -148,9 +148,6 @@ impl<R: Read + Seek> Scan<R> {
 
     /// Starts a scan, also of a file whose first bytes are not those of an MCAP file: the error
     /// beside it reports that, and [`Scan::resume`] finds the records that there are.
-    ///
-    /// # Errors
-    /// [`ScanError::Io`].
     pub(crate) fn anyway(input: R) -> Result<(Self, Option<ScanError>), ScanError> {
         let mut source = Source::new(input)?;
         let file_bytes = source.file_bytes();
@@ -175,7 +172,6 @@ impl<R: Read + Seek> Scan<R> {
     }
 
     /// Length of the file, bytes.
-    #[must_use]
     pub fn file_bytes(&self) -> u64 {
         self.file_bytes
     }
@@ -187,9 +183,6 @@ impl<R: Read + Seek> Scan<R> {
 
     /// Continues at `offset`, the start of a record. The checksum of the current section is then
     /// unknown.
-    ///
-    /// # Errors
-    /// [`ScanError::Io`].
     pub(crate) fn go_to(&mut self, offset: u64) -> Result<(), ScanError> {
         if let State::Top(source) = &mut self.state {
             source.go_to(offset)?;

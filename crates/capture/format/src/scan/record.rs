@@ -61,7 +61,6 @@ pub struct Crc {
 
 impl Crc {
     /// True if the two differ.
-    #[must_use]
     pub const fn is_wrong(&self) -> bool {
         self.saved != 0 && self.saved != self.found
     }

@@ -37,7 +37,6 @@ impl<R: Read + Seek> Source<R> {
         })
     }
 
-    /// Bytes consumed.
     pub(super) fn offset(&self) -> u64 {
         self.offset
     }

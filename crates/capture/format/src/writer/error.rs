@@ -7,30 +7,20 @@ use mcap::McapError;
 /// Errors of writing.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum WriteError {
     /// There is a file of that name.
     #[error(
         "{path:?} exists and is not touched. Name another file, or begin its next part \
          (`joulebus record --resume`)"
     )]
-    Exists {
-        /// The file.
-        path: PathBuf,
-    },
+    Exists { path: PathBuf },
     /// The file could not be created.
     #[error("cannot create {path:?}: {source}")]
-    Create {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: std::io::Error,
-    },
+    Create { path: PathBuf, source: std::io::Error },
     /// Writing failed: the file written so far can be recovered.
     #[error("cannot write the capture: {reason}")]
-    Failed {
-        /// The error.
-        reason: String,
-    },
+    Failed { reason: String },
     /// An earlier write failed.
     #[error("the capture has stopped: an earlier write failed")]
     Stopped,
@@ -41,10 +31,7 @@ pub enum WriteError {
     #[error(
         "more than {allowed} channels in one file. Record fewer robots with channels of their own"
     )]
-    TooManyChannels {
-        /// Channels that a file may have.
-        allowed: usize,
-    },
+    TooManyChannels { allowed: usize },
 }
 
 /// The error as text, with the operating system's, which mcap's text omits.

@@ -287,7 +287,6 @@ impl<W: Write> Writer<W> {
     }
 
     /// Bytes of the file so far, without the open chunk.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
     }
@@ -307,7 +306,6 @@ impl<W: Write> Writer<W> {
     }
 
     /// Statistics of the file so far.
-    #[must_use]
     pub fn written(&self) -> Written {
         let by_topic = self.topics().map(|(topic, channel)| {
             let before = self.sequences.0.get(&topic).copied().unwrap_or(0);
@@ -325,7 +323,6 @@ impl<W: Write> Writer<W> {
 
     /// Messages by topic that were passed to [`Writer::write`] and are not in the file: those of
     /// the open chunk, which are lost by a failure, and refused ones.
-    #[must_use]
     pub fn unwritten(&self) -> BTreeMap<String, u64> {
         let mut unwritten = self.refused.clone();
         for (topic, channel) in self.topics() {

@@ -13,7 +13,6 @@ const MAX_GATHERED: usize = 1 << 20;
 pub(crate) struct Output<W> {
     inner: W,
     gathered: Vec<u8>,
-    /// Bytes received.
     taken: u64,
     bytes: Arc<AtomicU64>,
     failed: bool,

@@ -23,7 +23,6 @@ impl Preset {
     pub const ALL: [Self; 4] = [Self::FastWrite, Self::Lz4, Self::ZstdFast, Self::ZstdSmall];
 
     /// The name in command-line options.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::FastWrite => "fastwrite",

@@ -24,7 +24,6 @@ const MAX_BYTES: u64 = 32 << 20;
 const MESSAGE_BYTES: usize = 4096;
 const USUAL_MB: u64 = 48;
 
-/// Incompressible numbers.
 fn noise(state: &mut u64, data: &mut [u8]) {
     for word in data.chunks_exact_mut(8) {
         *state ^= *state << 13;

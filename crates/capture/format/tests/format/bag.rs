@@ -82,7 +82,6 @@ impl Bag {
         import(Cursor::new(self.bytes()), "bag", &mapping)
     }
 
-    /// The whole file.
     pub(crate) fn bytes(mut self) -> Vec<u8> {
         self.writer.finish().unwrap();
         self.writer.into_inner().into_inner()
