@@ -7,16 +7,14 @@ use joulebus_config::{BundleError, Config};
 /// Errors of assembling the files.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum AttachError {
     /// A model could not be read, or the config could not be bundled.
     #[error(transparent)]
     Bundle(#[from] BundleError),
     /// Two fleets of the same name: their channels would be indistinguishable.
     #[error("two configs of a fleet named {fleet:?}. Give them different names to record both")]
-    TwoOfAName {
-        /// The name.
-        fleet: String,
-    },
+    TwoOfAName { fleet: String },
 }
 
 /// The offset between this host's clocks now.

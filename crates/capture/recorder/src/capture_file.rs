@@ -46,9 +46,6 @@ impl Watch {
 
 impl CaptureFile {
     /// Creates the file. An existing file is refused.
-    ///
-    /// # Errors
-    /// [`WriteError::Exists`], [`WriteError::Create`].
     pub(crate) fn create(path: &Path) -> Result<Self, WriteError> {
         let file = disk::create_to_append(path).map_err(|source| match source.kind() {
             io::ErrorKind::AlreadyExists => WriteError::Exists { path: path.to_owned() },
@@ -58,9 +55,6 @@ impl CaptureFile {
     }
 
     /// A watch over the file.
-    ///
-    /// # Errors
-    /// The system's error.
     pub(crate) fn watch(&self) -> io::Result<Watch> {
         Ok(Watch {
             path: self.path.clone(),

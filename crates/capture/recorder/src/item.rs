@@ -18,7 +18,6 @@ impl Item {
         kind.map_or_else(String::new, |kind| kind.topic(&self.fleet, 0))
     }
 
-    /// Its approximate memory.
     pub(crate) fn bytes(&self) -> usize {
         size_of::<Self>() + self.message.memory()
     }

@@ -46,19 +46,16 @@ pub struct Summary {
 
 impl Summary {
     /// Messages in all files.
-    #[must_use]
     pub fn messages(&self) -> u64 {
         self.files.iter().map(|(_, written)| written.messages).sum()
     }
 
     /// Bytes of all files.
-    #[must_use]
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|(_, written)| written.bytes).sum()
     }
 
     /// Messages lost.
-    #[must_use]
     pub fn messages_lost(&self) -> u64 {
         let lost = self.lost.values();
         // False frames state any numbers.

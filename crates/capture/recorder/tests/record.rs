@@ -190,7 +190,6 @@ fn entries(path: &Path) -> Vec<Entry> {
     reader.collect::<Result<_, _>>().unwrap()
 }
 
-/// Messages by topic.
 fn counts(entries: &[Entry]) -> BTreeMap<String, u64> {
     let mut counts = BTreeMap::new();
     for entry in entries {
