@@ -89,7 +89,6 @@ pub(super) struct Assembler {
     events: VecDeque<Event>,
 }
 
-/// Pieces of keyframes.
 #[derive(Debug, Default)]
 struct Pieces {
     /// The keyframe whose pieces arrive, with its first header.

@@ -38,7 +38,6 @@ impl Value {
     }
 
     /// Converts it to a number. Not exact beyond 2^53.
-    #[must_use]
     pub fn number(self) -> f64 {
         match self.form {
             Form::Unsigned => self.bits as f64,

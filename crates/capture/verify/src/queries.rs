@@ -347,9 +347,7 @@ enum Found<'a> {
     None,
     /// Recorded before the first tick that was computed, or directly before the recording.
     Before,
-    /// Before the recording.
     Absent,
-    /// Not yet computed.
     Later,
     /// Not computed, or not kept.
     Lost,

@@ -210,7 +210,6 @@ impl Refusals {
         }
     }
 
-    /// Ends the input.
     pub(super) fn finish(&mut self, report: &mut Verification) {
         for (_, server) in std::mem::take(&mut self.servers) {
             server.finish(&self.starts, report);

@@ -142,7 +142,6 @@ pub struct Difference {
 
 impl Verification {
     /// True if all that was sent was compared, without differences: [`Verdict::Verified`].
-    #[must_use]
     pub fn is_clean(&self) -> bool {
         self.verdict == Verdict::Verified
     }
@@ -330,7 +329,6 @@ impl Verification {
         }
     }
 
-    /// Completes the counts.
     pub(super) fn close(&mut self) {
         let (first, last) = self.times.unwrap_or_default();
         self.recorded_s = last.saturating_sub(first) as f64 / 1e9;

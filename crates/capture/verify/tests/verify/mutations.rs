@@ -158,7 +158,6 @@ fn ask(messages: &mut Messages, change: impl Fn(&mut Query)) {
     }
 }
 
-/// A forged answer.
 fn forged(query: &mut Query) {
     let value = &mut query.rows[0].mean_j;
     *value = f32::from_bits(value.to_bits() ^ 1);
