@@ -39,7 +39,6 @@ pub enum Link {
 
 impl Link {
     /// Its name.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Waiting => "waiting",
@@ -76,7 +75,6 @@ impl WorkerRun {
     }
 
     /// Samples of this run that were dropped.
-    #[must_use]
     pub const fn dropped(&self) -> DropCounts {
         self.header.samples_dropped
     }
@@ -211,7 +209,6 @@ impl Board {
     }
 
     /// The newest header.
-    #[must_use]
     pub fn header(&self) -> Option<&ForecastHeader> {
         self.runs.last().map(|run| &run.header)
     }
@@ -371,20 +368,17 @@ impl Board {
     }
 
     /// Scores of the outlooks, if any were compared.
-    #[must_use]
     pub fn ahead(&self) -> Option<[AheadScores; OUTLOOK_HORIZONS]> {
         Some(self.ahead.scores()).filter(|[shortest, ..]| shortest.compared > 0)
     }
 
     /// Scores of the forecasts.
-    #[must_use]
     pub fn scores(&self) -> Scores {
         let diagnostics = self.rows.values().filter_map(|row| row.diagnostic.as_ref());
         Scores::of(diagnostics, &self.pooled)
     }
 
     /// Number of worker runs seen.
-    #[must_use]
     pub fn workers(&self) -> usize {
         self.runs.len() + self.merged_runs
     }
@@ -402,13 +396,11 @@ impl Board {
     }
 
     /// Samples accepted by all workers.
-    #[must_use]
     pub fn accepted(&self) -> u64 {
         self.runs.iter().map(|run| run.header.samples_accepted).sum()
     }
 
     /// Samples dropped by all workers, by reason.
-    #[must_use]
     pub fn dropped(&self) -> DropCounts {
         let mut sum = DropCounts::default();
         for run in &self.runs {
@@ -420,7 +412,6 @@ impl Board {
     }
 
     /// Ticks done, skipped and late, all workers.
-    #[must_use]
     pub fn ticks(&self) -> (u64, u64, u64) {
         self.runs.iter().fold((0, 0, 0), |sum, run| {
             let header = &run.header;
@@ -429,7 +420,6 @@ impl Board {
     }
 
     /// Questions about plans, answered and refused by reason, once there were any.
-    #[must_use]
     pub fn questions(&self) -> Option<String> {
         let counts = self.queries?;
         let (answered, refused) = (counts.answered, counts.total_refused());
@@ -440,7 +430,6 @@ impl Board {
     }
 
     /// Samples that the newest worker has dropped, by reason.
-    #[must_use]
     pub fn samples_dropped_by_name(&self) -> BTreeMap<&'static str, u64> {
         let headers = self.header().into_iter();
         headers
@@ -450,14 +439,12 @@ impl Board {
     }
 
     /// Questions about plans that it has refused, by reason.
-    #[must_use]
     pub fn questions_refused_by_name(&self) -> BTreeMap<&'static str, u64> {
         let counts = self.queries.iter();
         counts.flat_map(QueryCounts::iter).map(|(reason, count)| (reason.name(), count)).collect()
     }
 
     /// Number of robots at each level: ok, warn, error, stale.
-    #[must_use]
     pub fn levels(&self) -> [usize; 4] {
         let mut counts = [0; 4];
         for row in self.rows.values() {
@@ -469,13 +456,11 @@ impl Board {
 
 impl Newest {
     /// The level. A robot without diagnostics is stale.
-    #[must_use]
     pub fn level(&self) -> Level {
         self.diagnostic.map_or(Level::Stale, |diagnostic| diagnostic.level())
     }
 
     /// The state of charge, 0 to 1, if the robot has a battery whose charge is known.
-    #[must_use]
     pub fn soc(&self) -> Option<f64> {
         self.budget
             .filter(|budget| budget.flags & budget_flag::BATTERY != 0)
@@ -498,13 +483,11 @@ impl Row {
     }
 
     /// The newest rows.
-    #[must_use]
     pub const fn newest(&self) -> Newest {
         Newest { forecast: self.forecast, diagnostic: self.diagnostic, budget: self.budget }
     }
 
     /// The level. A robot without diagnostics is stale.
-    #[must_use]
     pub fn level(&self) -> Level {
         self.newest().level()
     }

@@ -157,7 +157,6 @@ impl Reading {
     }
 
     /// The planner, for further feeds of the same fleet.
-    #[must_use]
     pub const fn planner(&self) -> &Subscriber {
         &self.planner
     }
@@ -305,7 +304,6 @@ impl Feed {
     }
 
     /// True if the thread still reads.
-    #[must_use]
     pub fn is_reading(&self) -> bool {
         !self.thread.has_ended()
     }

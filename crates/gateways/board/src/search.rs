@@ -29,7 +29,6 @@ impl Platforms {
     }
 
     /// Names, by place.
-    #[must_use]
     pub fn names(&self) -> &[String] {
         &self.names
     }
@@ -48,7 +47,6 @@ impl Platforms {
 /// As `<30` or `<30%` it finds batteries below 30 %. An empty one finds all robots.
 #[derive(Debug, Clone)]
 pub struct Search {
-    /// Lower case.
     text: String,
     platforms: Vec<bool>,
     alarms: AlarmSet,

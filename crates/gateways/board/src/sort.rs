@@ -33,7 +33,6 @@ pub struct SortKey {
 
 impl SortKey {
     /// The robot's id.
-    #[must_use]
     pub const fn robot(&self) -> u32 {
         self.robot
     }

@@ -87,7 +87,6 @@ impl Stages {
     }
 
     /// The distributions.
-    #[must_use]
     pub fn latency(&self) -> Latency {
         let [sent_to_taken, taken_to_compute, compute, compute_to_sent, sent_to_readable] =
             self.parts.each_ref().map(Spread::new);
@@ -121,7 +120,6 @@ pub struct Latency {
 
 impl Latency {
     /// The stages in order, with their labels.
-    #[must_use]
     pub const fn stages(&self) -> [(&'static str, Spread); 6] {
         [
             ("sent → taken", self.sent_to_taken),
