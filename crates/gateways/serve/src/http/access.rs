@@ -89,9 +89,6 @@ pub(super) fn is_of_health(uri: &Uri) -> bool {
 
 impl Access {
     /// Checks that a request may be answered.
-    ///
-    /// # Errors
-    /// The refusal.
     pub(super) fn check(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
         self.check_site(uri, headers)?;
         match &self.token {
@@ -106,9 +103,6 @@ impl Access {
     }
 
     /// Checks that a request is for this server and not sent by a page of another site.
-    ///
-    /// # Errors
-    /// The refusal.
     pub(super) fn check_site(&self, uri: &Uri, headers: &HeaderMap) -> Result<(), ApiError> {
         self.check_host(uri, headers)?;
         check_site(headers)
@@ -208,9 +202,6 @@ pub(super) struct Rates {
 
 impl Rates {
     /// Takes one request of `peer`, or one that is refused.
-    ///
-    /// # Errors
-    /// There were too many.
     pub(super) fn take(
         &mut self,
         peer: Peer,

@@ -11,7 +11,6 @@ use serde::Serialize;
 /// Maximum number of raises and ends of alarms that are kept.
 const MAX_CHANGES: usize = 200;
 
-/// A raised alarm.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(super) struct RaisedRecord {
     robot: u32,
@@ -44,7 +43,6 @@ impl RaisedRecord {
 #[derive(Debug, Clone, Default, Serialize)]
 pub(super) struct Alarms {
     pub(super) raised: Vec<RaisedRecord>,
-    /// Newest first.
     pub(super) changes: VecDeque<ChangeRecord>,
     /// Number of changes so far, those no longer kept included.
     #[serde(skip)]

@@ -29,7 +29,6 @@ const RESERVED: usize = 16;
 const WRITE_BYTES: u64 = 64 << 10;
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// A connection.
 #[derive(Debug, Default)]
 pub(super) struct Connection {
     /// Requests being answered, streams included.

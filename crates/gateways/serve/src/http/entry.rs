@@ -6,7 +6,6 @@ use joulebus_board::Newest;
 use joulebus_wire::forecast_flag;
 use serde_json::{Map, Value};
 
-/// A JSON object.
 pub(super) type Object = Map<String, Value>;
 
 /// The newest rows of one robot.

@@ -34,7 +34,6 @@ pub(super) struct FleetRecord {
     ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
 }
 
-/// The worker.
 #[derive(Debug, Clone, Serialize)]
 pub(super) struct WorkerRecord {
     /// waiting, alive, stale or gone.
@@ -129,7 +128,6 @@ pub(super) struct Around<'a> {
     pub(super) fleet: &'a str,
     pub(super) period_ns: u64,
     pub(super) stale_after_ns: u64,
-    /// Monotonic.
     pub(super) now_ns: u64,
     pub(super) now_unix_ns: u64,
     pub(super) distributions: &'a Distributions,

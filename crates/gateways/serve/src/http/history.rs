@@ -43,7 +43,6 @@ struct Track {
 #[derive(Debug, Default)]
 pub(super) struct History {
     tracks: HashMap<u32, Track>,
-    /// Steps so far.
     steps: u64,
     end_unix_ns: u64,
 }

@@ -69,9 +69,6 @@ fn identity(path: &Path) -> io::Result<Identity> {
 }
 
 /// Listens on an address. Port 0 takes any free port.
-///
-/// # Errors
-/// The address cannot be used.
 pub(super) fn at_address(address: SocketAddr) -> anyhow::Result<(TcpListener, SocketAddr)> {
     let failed = || format!("cannot listen at {address}");
     let listener = TcpListener::bind(address).with_context(failed)?;

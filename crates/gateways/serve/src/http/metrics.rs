@@ -51,7 +51,6 @@ impl TextFormat {
         }
     }
 
-    /// The content type.
     pub(super) const fn kind(self) -> &'static str {
         match self {
             Self::Classic => "text/plain; version=0.0.4; charset=utf-8",

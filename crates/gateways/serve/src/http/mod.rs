@@ -107,7 +107,6 @@ pub(crate) struct HttpReport {
     pub(crate) messages: u64,
 }
 
-/// The running server.
 pub(crate) struct HttpServer {
     address: Option<SocketAddr>,
     socket: Option<SocketFile>,
@@ -215,9 +214,6 @@ impl HttpServer {
     }
 
     /// Closes all connections and leaves the fleet.
-    ///
-    /// # Errors
-    /// The error that ended the server.
     pub(crate) fn finish(mut self) -> anyhow::Result<HttpReport> {
         // While it still listens: afterwards the next server may have its own there.
         let socket = self.socket.take().map(|socket| socket.path.clone());
@@ -325,7 +321,6 @@ where
     }
 }
 
-/// Answers one request.
 async fn respond(
     mut request: Request<Incoming>,
     peer: Peer,

@@ -13,7 +13,6 @@ const LEAVE_AFTER_NS: u64 = 90_000_000_000;
 /// Takes the outlooks: an empty list if they do not arrive.
 pub(super) type Reply = oneshot::Sender<Vec<Outlook>>;
 
-/// Requests for outlooks.
 #[derive(Default)]
 pub(super) struct OutlookRequests {
     waiting: Vec<(Option<u32>, Reply, u64)>,

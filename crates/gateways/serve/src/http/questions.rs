@@ -79,9 +79,6 @@ impl Questions {
     }
 
     /// Answers a question.
-    ///
-    /// # Errors
-    /// The question is wrong, or takes too long.
     pub(super) async fn answer(
         &self,
         permit: Permit,

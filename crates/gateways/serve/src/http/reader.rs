@@ -62,7 +62,6 @@ pub(super) enum ReaderError {
     Thread(#[from] std::io::Error),
 }
 
-/// The running thread.
 pub(super) struct Reader {
     pub(super) snapshots: watch::Receiver<Arc<Snapshot>>,
     pub(super) asks: SyncSender<Ask>,
@@ -88,7 +87,6 @@ impl Reader {
         self.thread.has_ended()
     }
 
-    /// Leaves the fleet.
     pub(super) fn finish(self) -> Result<(), ReaderError> {
         self.thread.join()
     }

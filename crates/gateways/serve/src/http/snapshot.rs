@@ -30,10 +30,8 @@ pub(super) struct Snapshot {
     pub(super) fleet: FleetRecord,
     pub(super) alarms: Arc<Alarms>,
     pub(super) accumulated: Accumulated,
-    /// Monotonic.
     pub(super) at_ns: u64,
     platforms: Arc<Platforms>,
-    /// Sorted by id.
     entries: Vec<Entry>,
     /// Hash of the robots' levels. An order by urgency may change with it.
     levels_hash: u64,

@@ -41,7 +41,6 @@ impl Client {
         Self { view, robot, sent: None, seq: 0 }
     }
 
-    /// The next message.
     pub(super) fn message(&mut self, snapshot: &Snapshot) -> String {
         self.seq += 1;
         let (event, data) = match self.sent.take() {

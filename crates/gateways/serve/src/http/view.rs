@@ -18,7 +18,6 @@ const MAX_SEARCH_BYTES: usize = 100;
 pub(super) struct View {
     pub(super) sort: Sort,
     pub(super) descending: bool,
-    /// Empty: all.
     search: String,
     /// Selected levels by [`Level::code`]. If none is selected, all are.
     levels: [bool; 4],
@@ -52,9 +51,6 @@ pub(super) struct Window {
 
 impl View {
     /// Parses a query parameter. Returns false if it does not belong to a view.
-    ///
-    /// # Errors
-    /// The value is not allowed.
     pub(super) fn take(&mut self, name: &str, value: &str) -> Result<bool, ApiError> {
         match name {
             "sort" => {

@@ -58,9 +58,6 @@ const fn usual_coverage() -> f32 {
 
 impl Asked {
     /// The question.
-    ///
-    /// # Errors
-    /// The fault of the question, in words.
     pub(super) fn question(self) -> Result<Question, String> {
         let robots: Vec<u32> = self.robot.into_iter().chain(self.rank).collect();
         if !(1..=MAX_ROBOTS).contains(&robots.len()) {

@@ -59,7 +59,6 @@ pub(crate) struct WebhookReport {
     pub(crate) ticks_missed: u64,
 }
 
-/// The running threads.
 pub(crate) struct Webhooks {
     shared: Arc<Shared>,
     reading: Background<anyhow::Result<()>>,
@@ -73,7 +72,6 @@ struct Shared {
     end_by: OnceLock<Instant>,
     /// Number of changes seen. Those that are not delivered are lost.
     changes: AtomicU64,
-    /// Ticks without diagnostics.
     ticks_missed: AtomicU64,
 }
 
@@ -150,9 +148,6 @@ impl Webhooks {
     }
 
     /// Delivers what waits within five seconds, and leaves the fleet.
-    ///
-    /// # Errors
-    /// The reason for which it ended early.
     pub(crate) fn finish(self) -> anyhow::Result<Vec<WebhookReport>> {
         let shared = &self.shared;
         // No other call sets it.

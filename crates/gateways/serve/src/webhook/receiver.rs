@@ -14,7 +14,6 @@ use super::signature::Signer;
 /// Maximum size of a file with certificates, bytes. All of Mozilla's take a quarter of it.
 const MAX_CERTIFICATE_BYTES: u64 = 1 << 20;
 
-/// Destination of alarms.
 #[derive(Debug)]
 pub(super) struct Receiver {
     pub(super) address: Uri,
@@ -139,7 +138,6 @@ fn certificates(path: &Path) -> anyhow::Result<RootCerts> {
     Ok(RootCerts::new_with_certs(&found))
 }
 
-/// The HTTP client.
 fn agent(roots: RootCerts) -> Agent {
     let config = Agent::config_builder()
         // A redirect would reveal the address to another host.

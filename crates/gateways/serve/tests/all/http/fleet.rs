@@ -55,7 +55,6 @@ impl Fleet {
         Child::spawn(words, command).at_drop(Child::end)
     }
 
-    /// Starts a worker.
     pub(crate) fn worker(&self) -> Child {
         let mut worker = self.joulebus("run");
         worker.wait_for_line("ready:");

@@ -163,7 +163,6 @@ impl Authority {
         Ok(())
     }
 
-    /// Its certificate.
     fn file(&self) -> String {
         let path = self.folder.path().join("authority.pem");
         path.display().to_string()
