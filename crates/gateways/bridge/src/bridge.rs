@@ -161,7 +161,6 @@ fn ros_checked(ros2: &Ros2Settings) -> RosCheckReport {
 
 type Thread<T> = Background<anyhow::Result<T>>;
 
-/// The running threads.
 struct Bridge {
     shared: Arc<Shared>,
     /// Number of lost alarm changes.

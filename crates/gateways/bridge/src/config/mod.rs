@@ -37,9 +37,6 @@ pub(crate) struct Settings {
 
 impl Settings {
     /// Checks a bridge's file for the fleet of `config`.
-    ///
-    /// # Errors
-    /// [`ConfigError`] with all problems.
     pub(crate) fn new(file: &CheckedFile, config: &Config) -> Result<Self, ConfigError> {
         let mut check = Check { fleet: config.fleet(), problems: file.problems.clone() };
         match check.settings(&file.root(), config) {

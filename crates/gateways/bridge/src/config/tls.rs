@@ -39,9 +39,6 @@ pub(crate) enum TlsError {
 
 impl TlsSettings {
     /// Reads the files.
-    ///
-    /// # Errors
-    /// [`TlsError`] with the name of the file's key.
     pub(crate) fn load(&self) -> Result<Arc<ClientConfig>, (&'static str, TlsError)> {
         let mut roots = RootCertStore::empty();
         for certificate in certificates(&self.ca).map_err(|error| ("ca", error))? {

@@ -56,9 +56,6 @@ impl Inbox {
     }
 
     /// The next packet, once all of it is there.
-    ///
-    /// # Errors
-    /// The bytes are none of MQTT.
     pub(super) fn next(&mut self) -> Result<Option<Incoming>, MqttError> {
         let bytes = &self.bytes[self.at..];
         let Some((head, length)) = lengths(bytes)? else {

@@ -70,9 +70,6 @@ pub(crate) struct Mqtt {
 
 impl Mqtt {
     /// Prepares the connection. [`Mqtt::run`] opens it.
-    ///
-    /// # Errors
-    /// There is no descriptor for it.
     pub(crate) fn new(
         settings: &MqttSettings,
         robots: &Robots,
@@ -114,9 +111,6 @@ impl Mqtt {
     }
 
     /// Connects, reads and sends until the bridge stops.
-    ///
-    /// # Errors
-    /// [`MqttError`].
     pub(crate) fn run(mut self) -> Result<(), MqttError> {
         let ended = self.keep_connected();
         // Nobody takes what is left.

@@ -12,9 +12,6 @@ use rustls::{ClientConfig, ClientConnection};
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Opens a connection to the first address of a host that answers. Blocks.
-///
-/// # Errors
-/// Those of the last address.
 pub(super) fn open(host: &str, port: u16) -> io::Result<TcpStream> {
     let mut failed = io::Error::new(ErrorKind::NotFound, "the name has no address");
     for address in (host, port).to_socket_addrs()? {

@@ -100,9 +100,6 @@ pub(crate) struct Ros2 {
 impl Ros2 {
     /// Joins the domain and opens all topics and services, whose writers of responses it returns.
     /// The threads of DDS inherit the priority of the calling thread.
-    ///
-    /// # Errors
-    /// [`Ros2Error`].
     pub(crate) fn open(
         settings: &Ros2Settings,
         reading: Reading,
@@ -297,9 +294,6 @@ impl Ros2 {
     }
 
     /// Takes messages until the bridge stops.
-    ///
-    /// # Errors
-    /// [`Ros2Error`].
     pub(crate) fn run(self) -> Result<(), Ros2Error> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().build()?;
         runtime.block_on(self.serve())

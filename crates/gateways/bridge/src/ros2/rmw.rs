@@ -135,9 +135,6 @@ impl Zenoh {
     }
 
     /// Takes messages until the bridge stops.
-    ///
-    /// # Errors
-    /// The child has ended.
     pub(crate) fn run(mut self) -> Result<(), Ros2Error> {
         let timeout = Timespec::try_from(POLL_INTERVAL).unwrap_or_default();
         while !self.reading.shared.is_closed() {

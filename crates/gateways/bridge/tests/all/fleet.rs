@@ -54,7 +54,6 @@ impl Fleet {
         Child::spawn("publish", command)
     }
 
-    /// Starts a worker.
     pub(crate) fn worker(&self) -> Child {
         let mut command = Command::new(joulebus());
         command.args(["run", "--config"]).arg(self.config()).env_remove("JOULEBUS_LOG");

@@ -109,7 +109,6 @@ fn spawn(program: &Path, folder: &Path, port: u16) -> Child {
     child
 }
 
-/// A received message.
 #[derive(Debug, Clone)]
 pub(crate) struct Message {
     pub(crate) topic: String,

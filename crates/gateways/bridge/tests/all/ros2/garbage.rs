@@ -42,7 +42,6 @@ impl Dice {
 struct Stranger {
     socket: UdpSocket,
     seeds: Vec<Vec<u8>>,
-    /// Its announcements.
     announced: Vec<Vec<u8>>,
     /// The bridge's port for discovery.
     to: u16,
