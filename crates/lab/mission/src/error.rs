@@ -7,6 +7,7 @@ use joulebus_plan::{AskError, Differs, PathError};
 /// Reason that a mission could not be run.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum MissionError {
     /// The fleet's config.
     #[error(transparent)]
@@ -31,10 +32,5 @@ pub enum MissionError {
     Rollout(#[from] joulebus_predictor::RolloutError),
     /// The fleet refused samples, which it never should.
     #[error("seed {seed}: the fleet refused {refused} samples of simulated robots")]
-    Refused {
-        /// The seed.
-        seed: u64,
-        /// Number of samples.
-        refused: u64,
-    },
+    Refused { seed: u64, refused: u64 },
 }

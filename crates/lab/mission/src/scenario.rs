@@ -29,7 +29,6 @@ const GAIN_SD: f64 = 0.02;
 /// Both are clamped to this many deviations.
 const WIDEST: f64 = 2.5;
 
-/// Random streams.
 const TASKS: u64 = 20 << 32;
 const MADE: u64 = 21 << 32;
 const ROBOTS: u64 = 22 << 32;
