@@ -7,36 +7,24 @@ use crate::convention::Convention;
 /// Errors of importing a plain network.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ImportError {
     /// There are too few readings.
     #[error(
         "the recordings have {found} readings with all inputs of a forecast (command, five \
          readings before it, no gap), at least {allowed} are needed"
     )]
-    TooFewRows {
-        /// Rows found.
-        found: usize,
-        /// Rows needed.
-        allowed: usize,
-    },
+    TooFewRows { found: usize, allowed: usize },
     /// The power is constant.
     #[error("all {rows} readings are the same. Recordings with changing power are needed")]
-    ConstantPower {
-        /// Rows.
-        rows: usize,
-    },
+    ConstantPower { rows: usize },
     /// The network forecasts worse than a constant.
     #[error(
         "as stated, the network has R² {r2:.4} on these {rows} readings, no better than a \
          constant, and no other convention fits better. Check the statistics, and that the \
          recordings are of the robots that it was trained for"
     )]
-    NothingFits {
-        /// Its R².
-        r2: f64,
-        /// Readings.
-        rows: usize,
-    },
+    NothingFits { r2: f64, rows: usize },
     /// Another convention forecasts clearly better.
     #[error(
         "the recordings contradict the stated convention: R² {stated_r2:.4}, and R² {r2:.4} \
@@ -44,11 +32,8 @@ pub enum ImportError {
          did. If this is it, convert it again with {better}"
     )]
     Contradicted {
-        /// R² of the stated convention.
         stated_r2: f64,
-        /// The better one.
         better: Convention,
-        /// Its R².
         r2: f64,
         /// By how much its squared error is smaller, %.
         less: f64,
@@ -59,12 +44,7 @@ pub enum ImportError {
          magnitudes are those of normalised velocities. That cannot run here: it needs |v − mean|, \
          and the worker's features hold |v|. Train the network with |v|"
     )]
-    CannotRun {
-        /// R² of the stated convention.
-        stated_r2: f64,
-        /// R² of the better one.
-        r2: f64,
-    },
+    CannotRun { stated_r2: f64, r2: f64 },
     /// The predictor refused the network.
     #[error(transparent)]
     Model(#[from] ModelError),

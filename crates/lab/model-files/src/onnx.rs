@@ -238,7 +238,6 @@ impl Builder {
         output.to_owned()
     }
 
-    /// x·Wᵀ + b.
     fn dense(&mut self, inputs: &[&str], output: &str) -> String {
         let output = self.node("Gemm", inputs, output);
         if let Some(node) = self.nodes.last_mut() {

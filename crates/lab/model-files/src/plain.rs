@@ -38,26 +38,17 @@ pub struct Plain {
 /// Errors of reading a plain network. The caller adds the file's name.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum PlainError {
     /// Larger than any network.
     #[error("the file has {found} bytes, a network has at most {MAX_FILE_BYTES}")]
-    TooLarge {
-        /// Bytes found.
-        found: usize,
-    },
+    TooLarge { found: usize },
     /// The container is corrupt or of another format.
     #[error("not a complete safetensors file ({0}). Convert the network again")]
     Container(String),
     /// A part is missing, unknown, or has a value that is not allowed.
     #[error("{part} {found}, allowed: {allowed}")]
-    Part {
-        /// The tensor or the metadata.
-        part: String,
-        /// What was found.
-        found: String,
-        /// What is allowed.
-        allowed: String,
-    },
+    Part { part: String, found: String, allowed: String },
 }
 
 fn bad(part: &str, found: String, allowed: impl Into<String>) -> PlainError {
