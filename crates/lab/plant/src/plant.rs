@@ -50,15 +50,11 @@ pub struct SimReading {
 /// Errors of configuring a plant.
 #[derive(Debug, Error, PartialEq)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum PlantError {
     /// A fault for a robot that does not exist.
     #[error("fault for robot {robot}, the fleet has {robots}: allowed are 0 to {robots} - 1")]
-    UnknownRobot {
-        /// Index given.
-        robot: usize,
-        /// Number of robots in the fleet.
-        robots: usize,
-    },
+    UnknownRobot { robot: usize, robots: usize },
 }
 
 /// A fleet of simulated robots.

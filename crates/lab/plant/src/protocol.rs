@@ -42,8 +42,8 @@ pub enum Protocol {
 /// The number of no trial.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("trial {found}: allowed are 1 to 6")]
+#[allow(missing_docs)] // The messages name the fields.
 pub struct UnknownTrial {
-    /// The number.
     pub found: usize,
 }
 

@@ -34,12 +34,10 @@ pub(super) const fn segments(protocol: Protocol) -> usize {
     }
 }
 
-/// A pause.
 pub(super) const fn rest(phase: u32, time_s: f64) -> Segment {
     held(phase, 0.0, 0.0, time_s)
 }
 
-/// A constant command.
 const fn held(phase: u32, v_mps: f64, omega_radps: f64, time_s: f64) -> Segment {
     let command = Command { v_mps, omega_radps };
     ramp(phase, command, command, time_s)
