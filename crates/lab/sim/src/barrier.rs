@@ -70,25 +70,14 @@ pub enum Answer {
 /// Errors of computing allowed velocities.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum BarrierError {
     /// The numbers of positions and velocities differ.
     #[error("{points} positions and {wanted} velocities. Give one of each for every robot")]
-    Lengths {
-        /// Positions given.
-        points: usize,
-        /// Velocities given.
-        wanted: usize,
-    },
+    Lengths { points: usize, wanted: usize },
     /// The solver found no solution.
     #[error("no allowed velocities for {robots} robots and {barriers} barriers: {status}")]
-    Unsolved {
-        /// Robots in the program.
-        robots: usize,
-        /// Barriers in the program.
-        barriers: usize,
-        /// The solver's status.
-        status: String,
-    },
+    Unsolved { robots: usize, barriers: usize, status: String },
 }
 
 /// One condition: `Σ slope·velocity ≤ bound` over one or two robots.

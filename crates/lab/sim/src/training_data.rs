@@ -100,7 +100,6 @@ pub fn dataset_from_plant(data: SimulatedData) -> Dataset {
 
 #[derive(Clone)]
 struct Recorder {
-    /// Newest first.
     readings: VecDeque<SimReading>,
     reading_age: ReadingAge,
     rows: Vec<Row>,
