@@ -282,7 +282,6 @@ fn check(name: &str, platform: &str, fleet: &str) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Files to write.
 struct Places {
     fleet: PathBuf,
     platforms: PathBuf,

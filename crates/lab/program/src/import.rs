@@ -79,7 +79,6 @@ pub(crate) struct Args {
     config: ConfigFile,
 }
 
-/// A robot's recording.
 struct Recording {
     name: String,
     id: Option<u32>,

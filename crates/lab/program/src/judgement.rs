@@ -63,9 +63,6 @@ impl AcceptArguments {
     }
 
     /// The same with what the config accepts in recordings of some platforms.
-    ///
-    /// # Errors
-    /// The config names what is no finding.
     pub(crate) fn or_configured(
         &self,
         config: &Config,
@@ -116,9 +113,6 @@ impl AcceptArguments {
     }
 
     /// The same, each with the remedies of where it comes from.
-    ///
-    /// # Errors
-    /// As [`AcceptArguments::judge`].
     pub(crate) fn judge_from<'a>(
         &self,
         trials: impl Iterator<Item = (Source, &'a Trial)>,
@@ -143,9 +137,6 @@ impl AcceptArguments {
     }
 
     /// The same, each with the limits of its platform: what is outside is a warning.
-    ///
-    /// # Errors
-    /// As [`AcceptArguments::judge`].
     pub(crate) fn judge_within<'a>(
         &self,
         trials: impl Iterator<Item = (Limits, &'a Trial)>,
@@ -172,9 +163,6 @@ impl AcceptArguments {
     }
 
     /// The same of recordings, which were judged when they were opened.
-    ///
-    /// # Errors
-    /// As [`AcceptArguments::judge`].
     pub(crate) fn recordings<'a>(
         &self,
         recordings: impl IntoIterator<Item = &'a Recording>,
@@ -201,9 +189,6 @@ impl AcceptArguments {
 
     /// Shows what is implausible in each of some trials, and in the short ones of a folder
     /// together. Refuses errors.
-    ///
-    /// # Errors
-    /// As [`AcceptArguments::judge`].
     pub(crate) fn settle<'a>(
         &self,
         mut found: Vec<Vec<Implausible>>,
@@ -280,9 +265,6 @@ impl<R: fmt::Display> fmt::Display for WithJudged<'_, R> {
 }
 
 /// Writes a report: in JSON with what is implausible, if anything is.
-///
-/// # Errors
-/// As [`Output::report`].
 pub(crate) fn report<R: Serialize + fmt::Display>(
     output: Output,
     report: &R,

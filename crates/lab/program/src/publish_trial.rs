@@ -129,7 +129,6 @@ impl Args {
     }
 }
 
-/// Plays the trials.
 struct Player {
     link: Link,
     flow: Option<Flow>,
@@ -313,7 +312,6 @@ impl Player {
     }
 }
 
-/// The initial report.
 fn report(args: &Args, config: &Config, trials: &[(u32, Trial)]) -> PublishReport {
     let mut shown: Vec<PlayedTrial> =
         trials.iter().map(|(robot, trial)| played(*robot, trial)).collect();

@@ -70,9 +70,6 @@ impl ColumnArguments {
     }
 
     /// Rules for reading a platform's recordings. Options that are not given are as in the config.
-    ///
-    /// # Errors
-    /// The config states what no option allows.
     pub(crate) fn or_configured(
         &self,
         config: &Config,
@@ -135,9 +132,6 @@ impl Recordings {
     }
 
     /// The same for recordings of a platform of the config.
-    ///
-    /// # Errors
-    /// As [`ColumnArguments::or_configured`].
     pub(crate) fn map_of(&self, config: &Config, platform: usize) -> anyhow::Result<ColumnMap> {
         self.columns.or_configured(config, platform)
     }

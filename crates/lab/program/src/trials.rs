@@ -77,9 +77,6 @@ impl TrialFiles {
     }
 
     /// The same for recordings of a platform of the config.
-    ///
-    /// # Errors
-    /// As [`ColumnArguments::or_configured`].
     pub(crate) fn map_of(&self, config: &Config, platform: usize) -> anyhow::Result<ColumnMap> {
         self.columns.or_configured(config, platform)
     }
@@ -101,9 +98,6 @@ impl TrialFiles {
 
     /// The recordings with the ids of their robots, for independent robots: once a platform's ids
     /// are used up, they are assigned again.
-    ///
-    /// # Errors
-    /// As [`TrialFiles::read`], except for too few ids.
     pub(crate) fn assigned(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
         let mut ids = Ids::new(self.first_robot);
         let mut assigned = Vec::new();
@@ -260,7 +254,6 @@ pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     find_recordings(&[directory.to_owned()])
 }
 
-/// Unassigned ids.
 struct Ids {
     next: Option<u32>,
     taken: Vec<u32>,

@@ -26,7 +26,6 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// A joulebus model.
 #[derive(Debug, Serialize)]
 struct ModelReport {
     file: String,
