@@ -55,6 +55,7 @@ pub struct Planner {
 /// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ViewError {
     /// The frames could not be read.
     #[error(transparent)]
@@ -67,10 +68,7 @@ pub enum ViewError {
         "no frame of the fleet within {waited_s:.1} s: start its worker (`joulebus run --config …`), \
          or see `joulebus doctor`"
     )]
-    Nothing {
-        /// Time waited, s.
-        waited_s: f64,
-    },
+    Nothing { waited_s: f64 },
     /// A signal arrived while waiting.
     #[error("interrupted by a signal")]
     Interrupted,
@@ -112,7 +110,6 @@ impl Planner {
     }
 
     /// Settings and models.
-    #[must_use]
     pub const fn fleet(&self) -> &Fleet {
         &self.fleet
     }
@@ -193,13 +190,11 @@ pub struct View<'a> {
 
 impl<'a> View<'a> {
     /// The tick that it is of.
-    #[must_use]
     pub const fn tick(&self) -> u64 {
         self.states.header().tick
     }
 
     /// Time since its frame was sent, ns.
-    #[must_use]
     pub const fn age_ns(&self) -> u64 {
         self.now_ns.saturating_sub(self.states.header().sent_ns)
     }
@@ -244,7 +239,6 @@ impl<'a> View<'a> {
 
     /// True if both frames are of one run of the worker, and neither is stale, nor from the future
     /// by this process's clock.
-    #[must_use]
     pub fn is_current(&self) -> bool {
         let header = self.states.header();
         let fresh =
