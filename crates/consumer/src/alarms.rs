@@ -34,7 +34,6 @@ pub enum Change {
 
 impl Change {
     /// The name, as in reports.
-    #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
             Self::Raised => "raised",
@@ -108,7 +107,6 @@ struct Listed {
 enum Raise {
     /// The raise is not known yet.
     Awaited,
-    /// The raise lasts.
     Lasts,
     /// The raise has ended, and the worker has not noticed yet.
     Over,
@@ -131,7 +129,6 @@ impl AlarmHistory {
     }
 
     /// Run of the worker of the newest frame that was taken.
-    #[must_use]
     pub fn run(&self) -> Option<u64> {
         self.newest_tick.map(|(run, _)| run)
     }
@@ -290,14 +287,12 @@ impl AlarmHistory {
     }
 
     /// Ticks whose diagnostics were taken.
-    #[must_use]
     pub const fn ticks(&self) -> u64 {
         self.ticks
     }
 
     /// Ticks between them without diagnostics: overwritten before they were read, or left out by an
     /// overloaded worker. Alarms that were raised and cleared within them are not known.
-    #[must_use]
     pub const fn ticks_missed(&self) -> u64 {
         self.ticks_missed
     }
@@ -370,7 +365,6 @@ impl AlarmFeed {
     }
 
     /// Longest pause between calls of [`AlarmFeed::changes`] in which nothing is overwritten.
-    #[must_use]
     pub const fn look_every(&self) -> Duration {
         self.look_every
     }
@@ -407,7 +401,6 @@ impl AlarmFeed {
     }
 
     /// The alarms so far.
-    #[must_use]
     pub const fn history(&self) -> &AlarmHistory {
         &self.history
     }

@@ -55,7 +55,6 @@ impl FleetAlarm {
     }
 
     /// From the raise to the end, s. `None` while it is raised.
-    #[must_use]
     pub fn lasted_s(&self) -> Option<f64> {
         let lasted_ns = self.at_ns.saturating_sub(self.raised_ns);
         matches!(self.change, Change::Cleared | Change::Left).then_some(lasted_ns as f64 * 1e-9)
@@ -163,7 +162,6 @@ impl FleetAlarms {
     }
 
     /// The robots' alarms that are raised, and the ticks that were missed.
-    #[must_use]
     pub const fn history(&self) -> &AlarmHistory {
         self.feed.history()
     }

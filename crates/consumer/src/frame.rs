@@ -44,13 +44,11 @@ impl<'a, C: Channel> Frame<'a, C> {
     }
 
     /// The frame's header.
-    #[must_use]
     pub const fn header(&self) -> &'a C::Header {
         self.header
     }
 
     /// All robots of the frame, in no particular order.
-    #[must_use]
     pub const fn robots(&self) -> &'a [C::Row] {
         self.robots
     }
@@ -90,13 +88,11 @@ pub struct KeptForecasts(pub(crate) Borrowed<'static, Forecasts>);
 
 impl KeptForecasts {
     /// The frame's header.
-    #[must_use]
     pub fn header(&self) -> &ForecastHeader {
         self.0.header()
     }
 
     /// All robots of the frame, in no particular order.
-    #[must_use]
     pub fn robots(&self) -> &[Forecast] {
         self.0.payload()
     }
@@ -113,13 +109,11 @@ impl<'a, C: Channel> IntoIterator for &Frame<'a, C> {
 
 impl Frame<'_, Forecasts> {
     /// Ticks missed and restarts between this frame and the previous one.
-    #[must_use]
     pub const fn arrival(&self) -> Arrival {
         self.arrival
     }
 
     /// Time since the frame was sent, ns, on the monotonic clock.
-    #[must_use]
     pub fn age_ns(&self) -> u64 {
         clock::monotonic_ns().saturating_sub(self.header.sent_ns)
     }

@@ -46,16 +46,14 @@ pub(crate) const fn check_schema(found: bool, schema: Option<u32>) -> Result<(),
 /// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ReadError {
     /// The worker has another schema version.
     #[error(
         "a frame of schema version {found}, allowed is {SCHEMA_VERSION}. Use the same release of \
          joulebus for the worker and its planners"
     )]
-    Schema {
-        /// The frame's version.
-        found: u32,
-    },
+    Schema { found: u32 },
     /// The frames could not be received.
     #[error(transparent)]
     Receive(#[from] ReceiveError),

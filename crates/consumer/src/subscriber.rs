@@ -196,7 +196,6 @@ impl Subscriber {
     }
 
     /// Longest time between two looks of a polling subscriber. `None` if every tick wakes it.
-    #[must_use]
     pub const fn look_every(&self) -> Option<Duration> {
         match &self.waiting {
             Waiting::Listening(_) => None,
@@ -272,7 +271,6 @@ impl Subscriber {
     }
 
     /// The last frame again.
-    #[must_use]
     pub fn current(&self) -> Option<Frame<'_, Forecasts>> {
         let held = self.reader.held()?;
         let number = self.tracker.counts().frames;
@@ -318,7 +316,6 @@ impl Subscriber {
 
     /// The longest time to wait for [`Subscriber::readiness`] before [`Subscriber::wait_next`] is
     /// called anyway. It is at most 100 ms.
-    #[must_use]
     pub fn look_within(&self) -> Duration {
         let left_ns = self.next_look_ns().saturating_sub(clock::monotonic_ns());
         POLL_INTERVAL.min(Duration::from_nanos(left_ns))
@@ -326,7 +323,6 @@ impl Subscriber {
 
     /// The state of the worker now, as seen by the last call to [`Subscriber::wait_next`] or
     /// [`Subscriber::latest`].
-    #[must_use]
     pub fn worker(&self) -> WorkerState {
         self.tracker.state(match &self.waiting {
             Waiting::Listening(_) => clock::monotonic_ns(),
@@ -342,7 +338,6 @@ impl Subscriber {
     }
 
     /// Numbers of frames returned and missed.
-    #[must_use]
     pub const fn counts(&self) -> Counts {
         self.tracker.counts()
     }
@@ -401,13 +396,11 @@ impl Subscriber {
     }
 
     /// Connections to workers that failed or broke: frames are missing.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.reader.degraded()
     }
 
     /// Frames of forecasts that another process than the worker has sent: they were passed over.
-    #[must_use]
     pub fn foreign(&self) -> u64 {
         self.reader.foreign()
     }
