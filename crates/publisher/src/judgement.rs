@@ -157,7 +157,6 @@ impl Judgement {
     }
 
     /// All that is implausible, by robot.
-    #[must_use]
     pub fn records(&self) -> Vec<Implausible> {
         let of = |(id, robot): (&u32, &Robot)| {
             let id = *id;

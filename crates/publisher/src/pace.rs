@@ -44,13 +44,11 @@ impl Grid {
     }
 
     /// The next grid time, monotonic ns.
-    #[must_use]
     pub const fn due_ns(&self) -> u64 {
         self.due_ns
     }
 
     /// Grid times skipped so far.
-    #[must_use]
     pub const fn skipped(&self) -> u64 {
         self.skipped
     }
@@ -108,7 +106,6 @@ impl Pace {
     }
 
     /// The grid.
-    #[must_use]
     pub const fn grid(&self) -> &Grid {
         &self.grid
     }

@@ -233,37 +233,31 @@ impl Publisher {
     }
 
     /// Frames sent in this run.
-    #[must_use]
     pub const fn frames_sent(&self) -> u64 {
         self.frames_sent
     }
 
     /// Samples sent in this run: the sum of those that the worker accepts and drops.
-    #[must_use]
     pub const fn samples_sent(&self) -> u64 {
         self.samples_sent
     }
 
     /// Maximum number of samples per frame: the fleet's capacity.
-    #[must_use]
     pub const fn capacity(&self) -> usize {
         self.writer.max_len()
     }
 
     /// Id of the source, as in [`SampleHeader::source_id`]: the 64-bit FNV-1a hash of its name.
-    #[must_use]
     pub const fn source_id(&self) -> u64 {
         self.header.source_id
     }
 
     /// When this run of the source began, monotonic ns.
-    #[must_use]
     pub const fn source_epoch(&self) -> u64 {
         self.header.source_epoch
     }
 
     /// Connections to workers that failed or broke: such workers miss frames.
-    #[must_use]
     pub fn degraded(&self) -> u64 {
         self.writer.degraded()
     }
@@ -296,24 +290,17 @@ impl fmt::Debug for Publisher {
 /// ```
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum PublishError {
     /// More samples than the capacity of the fleet.
     #[error(
         "a frame of {found} samples, allowed are {allowed}. Raise `fleet.capacity` in the config \
          of all processes of the fleet"
     )]
-    TooMany {
-        /// Samples in the frame.
-        found: usize,
-        /// Samples allowed.
-        allowed: usize,
-    },
+    TooMany { found: usize, allowed: usize },
     /// A robot occurs twice in a frame.
     #[error("robot {robot} is in the frame twice. Give each robot its own id, once per frame")]
-    DuplicateRobot {
-        /// The robot.
-        robot: u32,
-    },
+    DuplicateRobot { robot: u32 },
     /// The bus refused the frame.
     #[error(transparent)]
     Send(#[from] SendError),
