@@ -32,7 +32,6 @@ const CLOCKS_APART: Duration = Duration::from_secs(3_600);
 
 /// A fleet's authority, which signs the certificates of its hosts.
 pub(crate) struct Authority {
-    /// Its certificate.
     pub(crate) pem: String,
     issuer: Issuer<'static, KeyPair>,
 }
@@ -52,9 +51,6 @@ impl Authority {
     }
 
     /// Takes an authority that was made before, from its certificate and key.
-    ///
-    /// # Errors
-    /// The key is none that this program makes.
     pub(crate) fn open(pem: String, key: &str) -> Result<Self, rcgen::Error> {
         let key = KeyPair::from_pem(key)?;
         Ok(Self { pem, issuer: Issuer::new(Self::params(), key) })
@@ -97,7 +93,6 @@ fn valid_for(days: u32, name: &str) -> CertificateParams {
 /// The certificate of a link, as `--check` reports it.
 #[derive(Debug, Serialize)]
 pub(crate) struct CertificateReport {
-    /// Its common name.
     pub(crate) name: String,
     /// Host names and addresses by which others may connect to it.
     pub(crate) addresses: Vec<String>,

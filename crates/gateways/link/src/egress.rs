@@ -64,9 +64,6 @@ impl Egress {
     }
 
     /// Processes the requests in the inbox.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn take(&mut self) -> Result<(), NetworkError> {
         while let Ok(event) = self.inbox.next(Duration::ZERO) {
             let (from, bytes, arrived_ns) = match event {
@@ -99,9 +96,6 @@ impl Egress {
     }
 
     /// Processes requests, drops silent receivers, and sends frames that waited.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn poll(&mut self) -> Result<(), NetworkError> {
         self.take()?;
         let now_ns = clock::monotonic_ns();

@@ -138,9 +138,6 @@ impl KeyValue {
 
 impl Etcd {
     /// Prepares a client. `own` is the name of this candidate.
-    ///
-    /// # Errors
-    /// A file of the settings cannot be read.
     pub(crate) fn new(
         settings: &LeaseSettings,
         (fleet, own): (&str, &str),

@@ -134,7 +134,6 @@ impl WorkerFeed {
     }
 }
 
-/// Follows the worker.
 pub(crate) struct Following {
     worker_ports: WorkerPorts,
     bus: Bus,

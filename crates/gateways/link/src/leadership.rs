@@ -24,9 +24,6 @@ pub(crate) struct Leadership {
 
 impl Leadership {
     /// Continues with the permit of the previous link on this host, if it still holds.
-    ///
-    /// # Errors
-    /// [`PermitError`].
     pub(crate) fn resume(places: Places) -> Result<(Self, Option<Permit>), PermitError> {
         let now_ns = clock::monotonic_ns();
         let boot_ns = clock::boot_ns();
@@ -59,9 +56,6 @@ impl Leadership {
     }
 
     /// Permits the worker of this host to lead, or to go on.
-    ///
-    /// # Errors
-    /// [`PermitError`]: the permit could not be written.
     pub(crate) fn grant(&self, permit: &Permit) -> Result<(), PermitError> {
         permit.write(&self.places.permit)?;
         self.begin(permit);

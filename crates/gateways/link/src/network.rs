@@ -109,9 +109,6 @@ impl Inbox {
     }
 
     /// True if the request comes from the link of that name. False if that is not known yet.
-    ///
-    /// # Errors
-    /// It comes from another link.
     pub(crate) fn verify(
         &mut self,
         from: &Arc<str>,
@@ -206,9 +203,6 @@ impl Outlet {
 
 impl Network {
     /// Opens the addresses and announces this link.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn open(
         settings: &NetworkSettings,
         (fleet, name): (&str, &str),
@@ -263,9 +257,6 @@ impl Network {
     }
 
     /// The publisher of frames for the link `to`.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn frames_to(&self, kind: Kind, to: &str) -> Result<Outlet, NetworkError> {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/{}/{name}/{to}", kind.name());
@@ -273,9 +264,6 @@ impl Network {
     }
 
     /// The publisher of requests to the link `from`.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn requests_to(&self, kind: Kind, from: &str) -> Result<Outlet, NetworkError> {
         let Self { fleet, name, .. } = self;
         let key = format!("joulebus/{fleet}/ask/{}/{from}/{name}", kind.name());
@@ -286,9 +274,6 @@ impl Network {
 
     /// Subscribes the inbox to frames from the link `from` to this one, and to the loss of that
     /// link.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn take_frames(
         &self,
         kind: Kind,
@@ -330,9 +315,6 @@ impl Network {
     }
 
     /// Subscribes the inbox to requests for frames of this link.
-    ///
-    /// # Errors
-    /// [`NetworkError`].
     pub(crate) fn take_requests(&self, kind: Kind, inbox: &mut Inbox) -> Result<(), NetworkError> {
         let Self { fleet, name, .. } = self;
         let prefix = format!("joulebus/{fleet}/ask/{}/{name}/", kind.name());

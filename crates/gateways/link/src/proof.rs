@@ -123,8 +123,6 @@ pub(crate) struct Verifier {
 }
 
 impl Verifier {
-    /// # Errors
-    /// The authority's certificate cannot be used.
     pub(crate) fn new(ca: &Path, prefix: String) -> anyhow::Result<Self> {
         let ca = joulebus_files::read_to_string(ca, MAX_BYTES)?;
         let verifier = certificates::verifier(&ca)?;
@@ -133,9 +131,6 @@ impl Verifier {
 
     /// True if a request under `name` with this proof comes from the link of that name. False if it
     /// has a token whose signature has not arrived yet.
-    ///
-    /// # Errors
-    /// Why the proof is refused.
     pub(crate) fn verify(
         &mut self,
         name: &Arc<str>,

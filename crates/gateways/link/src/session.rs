@@ -64,9 +64,6 @@ impl fmt::Debug for Session {
 
 impl Session {
     /// Opens the first session. `again` is the configuration of all others.
-    ///
-    /// # Errors
-    /// Zenoh's.
     pub(crate) fn open(
         config: zenoh::Config,
         again: zenoh::Config,
@@ -89,9 +86,6 @@ impl Session {
     }
 
     /// Subscribes `deliver` in this session and all later ones.
-    ///
-    /// # Errors
-    /// Zenoh's.
     pub(crate) fn declare(&self, declared: Declared, deliver: Deliver) -> zenoh::Result<()> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(open) = &mut state.open {
@@ -104,9 +98,6 @@ impl Session {
 
     /// The publisher of a key, and the number of its session. `None` while no session is open.
     /// Never blocks: a session may be being opened.
-    ///
-    /// # Errors
-    /// Zenoh's.
     pub(crate) fn publisher(&self, key: &str) -> zenoh::Result<Option<(u64, Publisher<'static>)>> {
         let Ok(state) = self.state.try_lock() else {
             return Ok(None);

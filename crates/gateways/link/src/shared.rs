@@ -25,9 +25,6 @@ pub(crate) struct Shared {
 
 impl Shared {
     /// Joins the fleet of this host.
-    ///
-    /// # Errors
-    /// [`ConnectError`].
     pub(crate) fn join(&self) -> Result<Bus, ConnectError> {
         let mut bus = joulebus_connect::join(&self.config, "link")?;
         if let Some(lock) = &self.lock {

@@ -282,8 +282,6 @@ impl Rounds<Done, anyhow::Error> for Rivals {
 }
 
 impl Rivals {
-    /// # Errors
-    /// The network is refused.
     pub(crate) fn open(
         shared: &Shared,
         leadership: Arc<Leadership>,

@@ -42,7 +42,6 @@ impl HostClaim {
     }
 }
 
-/// The running threads.
 pub(crate) struct Threads {
     running: Vec<Background<anyhow::Result<Done>>>,
     questions: Option<PlanServer>,
@@ -143,9 +142,6 @@ impl Threads {
     }
 
     /// Ends all threads.
-    ///
-    /// # Errors
-    /// The error of a thread that has failed.
     pub(crate) fn finish(mut self) -> anyhow::Result<Done> {
         self.running.iter().for_each(Background::stop);
         if let Some(questions) = self.questions.take() {

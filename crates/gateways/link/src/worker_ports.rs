@@ -20,7 +20,6 @@ pub(crate) struct WorkerPorts {
     every: u32,
 }
 
-/// Opens ports.
 struct Open<'a>(&'a Bus, &'a Limits);
 
 impl OfChannel for Open<'_> {

@@ -65,9 +65,6 @@ impl Check {
 }
 
 /// Checks an endpoint's address.
-///
-/// # Errors
-/// The form to write instead.
 fn endpoint(text: &str, unencrypted: bool) -> Result<(), &'static str> {
     let form = "Write \"https://host:port\", or \"http://host:port\", without a path";
     let (scheme, place) = text.split_once("://").ok_or(form)?;

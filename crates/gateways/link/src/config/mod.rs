@@ -46,7 +46,6 @@ pub(crate) struct Standby {
 pub(crate) enum Side {
     /// A worker, with the hosts whose samples it takes.
     Worker(Vec<Take>),
-    /// No worker.
     Other {
         /// Links of the workers that get the samples published here.
         samples: Option<Vec<String>>,

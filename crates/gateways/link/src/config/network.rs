@@ -92,9 +92,6 @@ impl Check {
 }
 
 /// Checks an address `tcp/host:port` or `tls/host:port`.
-///
-/// # Errors
-/// The remedy.
 fn address(text: &str, has_tls: bool, unencrypted: bool) -> Result<(), &'static str> {
     let form = "Write \"tls/host:port\", or \"tcp/host:port\" with a port";
     let (protocol, place) = text.split_once('/').ok_or(form)?;

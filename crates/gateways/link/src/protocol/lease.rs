@@ -42,7 +42,6 @@ const START_TIMEOUT_NS: u64 = 5_000_000_000;
 /// Time after which an absent worker is not expected back.
 const RESTART_TIMEOUT_NS: u64 = 2_000_000_000;
 
-/// The store's contents.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub(crate) struct StoreView {
     pub(crate) holder: Option<Holder>,
@@ -65,15 +64,21 @@ pub(crate) struct Holder {
 pub(crate) enum Call {
     /// Grants a new lease.
     Grant,
-    /// Reads the keys.
     Look,
     /// Makes this candidate the holder and sets the term, if there is no holder and the term's key
     /// still has this revision.
-    Acquire { lease: u64, term: u64, term_revision: u64 },
-    /// Renews the lease.
-    Renew { lease: u64 },
+    Acquire {
+        lease: u64,
+        term: u64,
+        term_revision: u64,
+    },
+    Renew {
+        lease: u64,
+    },
     /// Gives the lease back. It would end by itself a little later.
-    Release { lease: u64 },
+    Release {
+        lease: u64,
+    },
 }
 
 /// The store's reply to a call.
@@ -96,7 +101,6 @@ pub(crate) enum Reply {
     Failed,
 }
 
-/// Next step.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum Next {
     Call(Call),

@@ -93,7 +93,6 @@ pub(crate) enum Worker {
     /// The link has not seen the worker yet, or its host has none and sends samples.
     #[default]
     Unknown,
-    /// The worker sends.
     Alive,
     /// The worker has stopped sending.
     Stale,
@@ -158,7 +157,6 @@ pub(crate) struct Request {
     pub(crate) selection: Selection,
 }
 
-/// A decoded message.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) struct Message<'a> {
     pub(crate) run: u64,
@@ -217,7 +215,6 @@ pub(crate) fn write_frame(
     out[at..at + size_of::<FrameHead>()].copy_from_slice(bytes_of(&head));
 }
 
-/// Encodes a request.
 pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> Vec<u8> {
     let ranges = request.selection.ranges();
     let head = RequestHead {
@@ -239,9 +236,6 @@ pub(crate) fn write_request(sender: Sender, number: u64, request: &Request) -> V
 }
 
 /// Decodes a message of an untrusted host. `most` is the maximum number of elements of a frame.
-///
-/// # Errors
-/// [`MessageError`].
 pub(crate) fn read(bytes: &[u8], fleet: FleetId, most: usize) -> Result<Message<'_>, MessageError> {
     read_of(Carried::ALL, bytes, fleet, most)
 }

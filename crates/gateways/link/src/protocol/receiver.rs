@@ -145,9 +145,6 @@ impl Receiver {
     }
 
     /// Handles a message of `bytes` that arrived at `now_ns`.
-    ///
-    /// # Errors
-    /// [`Unused`]: there is no frame to pass on.
     pub(crate) fn take<'a>(
         &mut self,
         message: &Message<'a>,
