@@ -6,9 +6,6 @@ use joulebus_config::Config;
 use joulebus_program::config_file::ConfigFile;
 
 /// Reads the files, or without any the usual one. Prints their warnings to stderr.
-///
-/// # Errors
-/// A file cannot be read, or is refused.
 pub(crate) fn load(files: &[PathBuf]) -> anyhow::Result<Vec<Config>> {
     if files.is_empty() {
         return Ok(vec![ConfigFile { config: None }.load()?]);

@@ -52,9 +52,6 @@ pub(crate) fn run(verb: &str) -> anyhow::Result<Outcome> {
 }
 
 /// Executes `joulebus-lab`, which has the verb under the same name, as [`run`] does.
-///
-/// # Errors
-/// As [`run`].
 pub(crate) fn run_lab(verb: &str) -> anyhow::Result<Outcome> {
     execute(verb, "joulebus-lab", env::args_os().skip(1).collect())
 }

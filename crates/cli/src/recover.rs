@@ -63,7 +63,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(!is_whole))
 }
 
-/// The result.
 struct Written {
     recovery: Recovery,
     /// Time until it was written, without its check.

@@ -19,9 +19,6 @@ impl ServiceManager {
     /// Starts the thread that reports as long as `turns` grows, if the service has a watchdog
     /// (`WatchdogSec=`). Call it before the worker is opened, whose CPUs and priority it would
     /// inherit.
-    ///
-    /// # Errors
-    /// The system refuses the thread.
     pub(crate) fn start(turns: Arc<AtomicU64>) -> io::Result<Self> {
         let watchdog = sd_notify::watchdog_enabled().map(|within| {
             Background::start("joulebus-watchdog", move || {
@@ -40,7 +37,6 @@ impl ServiceManager {
         notify(&[NotifyState::Ready, NotifyState::Status(status)]);
     }
 
-    /// The service ends.
     pub(crate) fn stopping(mut self) {
         if let Some(Err(error)) = self.watchdog.as_mut().map(Background::finish) {
             tracing::error!("{error}");

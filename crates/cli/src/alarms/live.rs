@@ -45,7 +45,6 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::unless_lost(missed + not_run > 0))
 }
 
-/// Destination of changes.
 struct Sink {
     fleet: String,
     clock: Clock,

@@ -43,9 +43,6 @@ pub(crate) struct AlarmLog {
 impl AlarmLog {
     /// Starts the thread, which waits for [`AlarmLog::open`]. Call it before the worker is opened,
     /// whose CPUs and priority the thread would inherit.
-    ///
-    /// # Errors
-    /// The system refuses the thread.
     pub(crate) fn start(config: &Config) -> std::io::Result<Self> {
         let report = Arc::<Mutex<AlarmReport>>::default();
         let (config, shared) = (config.clone(), Arc::clone(&report));

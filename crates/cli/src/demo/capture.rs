@@ -9,9 +9,6 @@ use serde::{Deserialize, Serialize};
 use joulebus_program::utc::Utc;
 
 /// Path of the capture.
-///
-/// # Errors
-/// The requested file exists, or cannot be written.
 pub(super) fn file(asked: Option<&Path>) -> Result<PathBuf, UsageError> {
     let path = asked.map_or_else(usual, ToOwned::to_owned);
     // Tried here, where the error can be reported, instead of in a process that would be restarted

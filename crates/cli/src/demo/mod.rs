@@ -202,9 +202,6 @@ impl Demo<'_> {
     }
 
     /// Supervises the processes. Events are shown on the board.
-    ///
-    /// # Errors
-    /// A process has died: the demo ends.
     fn look_after(&mut self, feed: &Feed) -> anyhow::Result<()> {
         let now_ns = clock::monotonic_ns();
         let events = self.supervisor.poll();
@@ -326,7 +323,6 @@ fn task(name: &'static str, directory: &DemoDirectory, verb: &[&str]) -> Task {
     Task { name, arguments }
 }
 
-/// The recorder.
 fn recorder(directory: &DemoDirectory, capture: &Path) -> Task {
     let mut task = task(RECORDER, directory, &["record"]);
     let arguments = ["--out".into(), capture.as_os_str().to_owned()];

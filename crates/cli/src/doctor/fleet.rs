@@ -100,7 +100,6 @@ pub(super) fn memory_rights() -> Check {
     }
 }
 
-/// The private directory.
 pub(super) fn root(domain: &Domain, inspection: &Inspection) -> Check {
     let name = "root";
     if let Some(error) = &inspection.root_error {

@@ -37,7 +37,6 @@ impl Others {
         Ok(others)
     }
 
-    /// Their output.
     pub(super) fn streams(&mut self) -> Vec<Box<dyn Read + Send>> {
         let streams = self.0.iter_mut().filter_map(|child| child.stdout.take());
         streams.map(|stream| Box::new(stream) as Box<dyn Read + Send>).collect()

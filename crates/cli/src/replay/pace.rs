@@ -25,7 +25,6 @@ enum Request {
     End,
 }
 
-/// Source of requests.
 enum Keys {
     /// A terminal in raw mode until this is dropped.
     Terminal,

@@ -29,7 +29,6 @@ pub(super) struct PlayReport {
     pub(super) frames_unanswered: u64,
     /// Total time of hold-ups, s.
     pub(super) held_up_s: f64,
-    /// Read errors.
     pub(super) damages: Vec<String>,
 }
 

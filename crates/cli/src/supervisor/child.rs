@@ -57,7 +57,6 @@ impl Child {
         self.process.id()
     }
 
-    /// Sends SIGTERM.
     pub(super) fn terminate(&mut self) {
         drop(self.process.stdin.take());
         // Not reaped yet, so the pid is not reused. The process may be a zombie.

@@ -28,7 +28,6 @@ const GRACE: Duration = Duration::from_secs(3);
 #[derive(Debug, Clone)]
 pub(crate) struct Task {
     pub(crate) name: &'static str,
-    /// Subcommand and arguments.
     pub(crate) arguments: Vec<OsString>,
 }
 
@@ -99,9 +98,6 @@ pub(crate) struct Supervisor {
 
 impl Supervisor {
     /// A supervisor without processes. They will run this program's executable.
-    ///
-    /// # Errors
-    /// The path of the executable is unknown.
     pub(crate) fn new() -> anyhow::Result<Self> {
         let program =
             std::env::current_exe().context("cannot find the executable of this program")?;

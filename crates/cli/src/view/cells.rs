@@ -10,7 +10,6 @@ use joulebus_wire::{
 /// Text of an unknown value.
 const UNKNOWN: &str = "–";
 
-/// Number of columns.
 const COLUMNS: usize = 14;
 
 /// Column heads, in the order of [`cells`], and the width of each column.

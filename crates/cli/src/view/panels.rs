@@ -277,7 +277,6 @@ fn learned(row: &Row, is_wide: bool) -> String {
     }
 }
 
-/// The newest events.
 pub(super) fn draw_notes(frame: &mut Frame, area: Rect, board: &Board) {
     let room = usize::from(area.height.saturating_sub(2));
     // The time takes ten columns.

@@ -15,7 +15,6 @@ use crate::keys::{EVENT_TIMEOUT, pressed};
 
 /// Interval at which the processes and the end are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(30);
-/// Interval between redraws.
 const DRAW_EVERY: Duration = Duration::from_millis(100);
 
 /// The terminal in use by the view. Restored when dropped, and by a panic hook.
@@ -42,9 +41,6 @@ impl Drop for RawTerminal {
 
 /// Shows the board until `q`, a signal, the end of the feed, or until `look` returns none. `look`
 /// is called often and returns the progress.
-///
-/// # Errors
-/// The error of `look` or of the terminal.
 pub(crate) fn show(
     feed: &Feed,
     screen: &mut Screen,

@@ -81,7 +81,6 @@ impl Args {
         clock::monotonic_ns().saturating_add(duration_ns)
     }
 
-    /// The newest frame.
     fn once(&self, config: &Config, output: Output, stop: &Stop) -> anyhow::Result<Outcome> {
         let board = RefCell::new(Board::new(clock::monotonic_ns()));
         let mut reading = Reading::open(config, "watch", false)?;

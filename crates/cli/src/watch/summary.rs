@@ -13,11 +13,9 @@ use serde::{Deserialize, Serialize};
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct PlannerReport {
-    /// Frames of forecasts.
     pub(crate) frames: u64,
     /// Frames overwritten before it read them.
     pub(crate) frames_missed: u64,
-    /// Runs of workers.
     pub(crate) workers: usize,
     /// Latency from a sample sent to its forecast readable.
     pub(crate) latency: Latency,
