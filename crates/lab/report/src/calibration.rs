@@ -12,7 +12,6 @@ use joulebus_eval::evaluate::{EvaluateError, RobotEvaluation, Series, evaluate_t
 use joulebus_eval::score::{Design, Recording, recorded_platform};
 use joulebus_statistics::metrics::CoverageTally;
 
-/// Nominal coverages.
 const LEVELS: [f32; 7] = [0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98];
 /// Number of bins of the forecasts.
 const PARTS: usize = 20;
@@ -28,9 +27,6 @@ pub(super) struct Level {
 
 /// Runs the live path with intervals of every level on every recording, which are in memory.
 /// `design` names the rows that are evaluated, else all are.
-///
-/// # Errors
-/// The settings are refused.
 pub(super) fn levels(
     settings: &FleetSettings,
     platform: Option<&Platform>,
@@ -99,7 +95,6 @@ fn normal_reach(share: f64) -> f64 {
     f64::midpoint(low, high)
 }
 
-/// The section.
 pub(super) fn section(material: &Material<'_>, levels: &[Level]) -> Section {
     Section {
         id: "calibration".to_owned(),

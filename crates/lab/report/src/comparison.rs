@@ -23,7 +23,6 @@ pub(super) struct Number {
 /// Everything that is compared of one draw. All draws have the same numbers in the same order.
 #[derive(Debug, Clone)]
 pub(super) struct Numbers {
-    /// The seed.
     pub(super) seed: u64,
     paper: Vec<Number>,
     product: Vec<Line>,

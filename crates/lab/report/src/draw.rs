@@ -22,9 +22,7 @@ const TRAINING: usize = 4;
 /// The recordings of a seed.
 pub(super) struct Recordings {
     pub(super) seed: u64,
-    /// The six trials.
     pub(super) trials: Vec<Recording>,
-    /// The seven robots.
     pub(super) robots: Vec<Recording>,
 }
 

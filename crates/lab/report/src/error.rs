@@ -7,17 +7,11 @@ use joulebus_train::TrainError;
 /// Errors of making a report.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ReportError {
     /// The simulated experiment is too short to be evaluated.
     #[error("{found} {what}: allowed are {least} or more")]
-    TooShort {
-        /// The quantity.
-        what: &'static str,
-        /// Its value.
-        found: usize,
-        /// Its minimum.
-        least: usize,
-    },
+    TooShort { what: &'static str, found: usize, least: usize },
     /// The caller ended the experiments.
     #[error("the experiments were ended before they were finished")]
     Ended,

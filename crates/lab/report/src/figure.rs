@@ -42,14 +42,11 @@ impl Figure {
     }
 }
 
-/// Axes with marks.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(crate) struct Panel {
-    /// Empty for none.
     pub(crate) title: String,
     pub(crate) x: Axis,
     pub(crate) y: Axis,
-    /// Drawn in order.
     pub(crate) layers: Vec<Layer>,
 }
 

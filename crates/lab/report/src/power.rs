@@ -29,7 +29,6 @@ struct Readings {
 }
 
 impl Readings {
-    /// Recordings in memory.
     fn of_all(recordings: &[Recording]) -> impl Iterator<Item = Self> + '_ {
         let in_memory = recordings.iter();
         in_memory.filter_map(|recording| Some(Self::new(&recording.name, recording.in_memory()?)))
@@ -75,7 +74,6 @@ fn mean_and_std(power_w: &[f64]) -> (f64, f64) {
     (mean_w, (squares_w2.sum::<f64>() / count).sqrt())
 }
 
-/// All trials together.
 pub(super) struct Pooled {
     pub(super) mean_w: f64,
     pub(super) std_w: f64,

@@ -41,7 +41,6 @@ pub(super) fn chosen<'a>(material: &Material<'a>) -> Option<(Grouping, &'a [Scor
     any.map(|(kind, sets)| (*kind, sets.as_slice()))
 }
 
-/// The section.
 pub(super) fn section(material: &Material<'_>, kind: Grouping, sets: &[Scores]) -> Section {
     let shown = &sets[..sets.len().min(MAX_SETS)];
     let what = kind.plural();

@@ -130,7 +130,6 @@ fn document(
     }
 }
 
-/// The training history.
 fn training(trained: &Trained, note: &str) -> Section {
     let curve = |of: fn(&Epoch) -> f64| Mark::Line {
         points: trained.epochs.iter().map(|epoch| [f64::from(epoch.number), of(epoch)]).collect(),

@@ -98,7 +98,6 @@ impl Usage {
         format!("Energy per metre: {} Wh{range}.{left_out}", significant(found).shown())
     }
 
-    /// The section.
     pub(super) fn section(&self) -> Section {
         let mut parts = vec![Part::Words(self.basis())];
         if self.speeds.parts > 0 {

@@ -27,9 +27,7 @@ pub(super) struct Step {
     pub(super) duration_s: f64,
     /// Mean of both readings.
     pub(super) power_w: f64,
-    /// NaN: unknown.
     pub(super) speed_mps: f64,
-    /// NaN: unknown.
     pub(super) turning_radps: f64,
 }
 
@@ -47,7 +45,6 @@ pub(super) struct LeftOut {
     pub(super) pauses_s: f64,
 }
 
-/// One recording.
 #[derive(Debug, Clone)]
 pub(super) struct Run {
     pub(super) name: String,
@@ -274,7 +271,6 @@ pub(super) struct AtSpeed {
     pub(super) words: String,
     pub(super) sums: Sums,
     pub(super) steps: usize,
-    /// Ascending.
     pub(super) power_w: Vec<f64>,
 }
 
