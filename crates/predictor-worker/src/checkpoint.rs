@@ -56,7 +56,6 @@ impl SentErrors {
         Self(fleet.remembered_errors().map(|(hash, seen)| (hash, bits(seen))).collect())
     }
 
-    /// Sends the fleet's.
     pub(crate) fn send(&self, fleet: &Fleet) {
         for ((_, sent), (_, seen)) in self.0.iter().zip(fleet.remembered_errors()) {
             for (sent, seen) in sent.numbers().zip(seen.numbers()) {

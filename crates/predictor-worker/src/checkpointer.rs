@@ -17,7 +17,6 @@ use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
 use crate::state_directory::checkpoint_path;
 
-/// The thread's name.
 pub(crate) const THREAD: &str = "joulebus-checkpointer";
 /// Maximum sleep of the checkpointer, ns.
 const PERIOD_NS: u64 = 200_000_000;
@@ -69,7 +68,6 @@ pub(crate) fn start(
     })
 }
 
-/// The checkpointer.
 struct Checkpointer {
     // Before the bus, because ports must be dropped first.
     budgets: Reader<Budgets>,

@@ -164,7 +164,6 @@ impl TickPool {
     }
 
     /// Time spent so far in each stage of [`Stage::ALL`], over all threads, ns.
-    #[must_use]
     pub fn spent_ns(&self) -> [u64; Stage::ALL.len()] {
         self.spent().0
     }

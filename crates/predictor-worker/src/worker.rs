@@ -131,6 +131,7 @@ pub enum OpenError {
 /// Errors that stop a worker.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum RunError {
     /// Waiting or waking failed.
     #[error(transparent)]
@@ -154,10 +155,7 @@ pub enum RunError {
          This worker ends, so that the next one has all its threads: start it, or let a \
          supervisor do that"
     )]
-    Thread {
-        /// Its name.
-        name: String,
-    },
+    Thread { name: String },
 }
 
 impl Worker {
@@ -387,7 +385,6 @@ impl Worker {
         }
     }
 
-    /// Begins to serve.
     fn take_over(
         &mut self,
         permit: &Permit,
@@ -529,7 +526,6 @@ impl Worker {
     }
 
     /// The report so far.
-    #[must_use]
     pub fn report(&self) -> Report {
         Report {
             fleet: self.name.clone(),

@@ -64,7 +64,6 @@ impl Backlog {
         if age_ns > KEEP_NS || self.is_full() { self.pop() } else { None }
     }
 
-    /// The oldest frame.
     pub(crate) fn pop(&mut self) -> Option<Held> {
         let oldest = self.frames.pop_front()?;
         self.samples -= size(&oldest);

@@ -8,7 +8,6 @@ use std::time::Duration;
 use joulebus_bus::{Background, Steps, clock};
 use joulebus_standby::{Permit, PermitError};
 
-/// The thread's name.
 pub(crate) const THREAD: &str = "joulebus-permit";
 /// Interval of reading the permit's file.
 pub(crate) const READ_EVERY: Duration = Duration::from_millis(50);
@@ -58,7 +57,6 @@ impl CurrentPermit {
         PermitOver { term: self.term() }
     }
 
-    /// The first permit.
     pub(crate) fn begin(&self, permit: &Permit) {
         self.term.store(permit.term, Ordering::Release);
         self.renew(Some(permit));
