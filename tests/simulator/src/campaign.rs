@@ -20,9 +20,7 @@ const LINKED_NS: u64 = 300_000_000_000;
 /// Which seeds are run, and how.
 #[derive(Debug, Clone, Default)]
 pub struct Campaign {
-    /// The first seed.
     pub first: u64,
-    /// Number of seeds.
     pub seeds: u64,
     /// Duration of each instead of its own, ns.
     pub duration_ns: Option<u64>,
@@ -32,7 +30,6 @@ pub struct Campaign {
     pub only: Option<Vec<usize>>,
     /// Fleets over several hosts, joined by links. Their plans are not made small.
     pub linked: bool,
-    /// Threads.
     pub threads: usize,
     /// True if a failing seed is made small.
     pub shrinks: bool,
@@ -41,19 +38,15 @@ pub struct Campaign {
 /// Results of a campaign.
 #[derive(Debug, Default, Serialize)]
 pub struct Totals {
-    /// Seeds run.
     pub seeds: u64,
     /// Simulated time, hours.
     pub simulated_h: f64,
     /// Ticks of all workers.
     pub ticks: u64,
-    /// Faults.
     pub faults: u64,
-    /// Processes started.
     pub processes: u64,
     /// Files of captures that were computed again.
     pub captures: u64,
-    /// Ticks computed again.
     pub verified_ticks: u64,
     /// Questions about plans that clients were answered.
     pub questions: u64,
@@ -61,14 +54,12 @@ pub struct Totals {
     pub answers: u64,
     /// By how much processes of each kind have grown at most, bytes.
     pub grown_bytes: Grown,
-    /// Seeds that failed.
     pub failed: Vec<Failed>,
 }
 
 /// A seed that failed.
 #[derive(Debug, Serialize)]
 pub struct Failed {
-    /// The seed.
     pub seed: u64,
     /// The invariant that did not hold.
     pub failure: Failure,

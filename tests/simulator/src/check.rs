@@ -32,9 +32,7 @@ const PER_MICROJOULE: i128 = 2_000_000_000;
 /// An invariant that does not hold.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Failure {
-    /// Its name.
     pub invariant: &'static str,
-    /// Findings.
     pub found: String,
     /// When, simulated ns.
     pub at_ns: u64,
@@ -93,7 +91,6 @@ struct Life {
     is_regular: bool,
 }
 
-/// A robot's account.
 struct Account {
     born_ns: u64,
     row: Budget,
@@ -121,7 +118,6 @@ pub(crate) enum Ending {
 /// Frames, and ends of workers, that are remembered.
 const REMEMBERED: usize = 4_096;
 
-/// Observes a fleet.
 pub(crate) struct Checker {
     setup: Setup,
     config: Config,

@@ -8,19 +8,13 @@ use crate::scenario::Setup;
 /// By how much a process of each kind has grown at most, bytes.
 #[derive(Debug, Default, Clone, Copy, PartialEq, Eq, Serialize)]
 pub struct Grown {
-    /// Workers.
     pub worker: i64,
-    /// Sources.
     pub source: i64,
-    /// Planners.
     pub planner: i64,
     /// Clients that ask about plans.
     pub client: i64,
-    /// Recorders.
     pub recorder: i64,
-    /// Displays.
     pub display: i64,
-    /// Bridges.
     pub bridge: i64,
 }
 

@@ -6,6 +6,7 @@
 //! the sources of `crates/`. They run as state machines. Between any two of their operations any
 //! fault may happen ([`scenario::Fault`]). After each step the invariants are checked
 //! ([`world::run`]).
+#![allow(missing_docs)] // Used by tests alone.
 #![deny(unsafe_code)]
 
 mod allocator;

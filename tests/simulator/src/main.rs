@@ -52,7 +52,6 @@ struct Arguments {
     format: Format,
 }
 
-/// Numbers of faults.
 #[derive(Debug, Clone)]
 struct Numbers(Vec<usize>);
 

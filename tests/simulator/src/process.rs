@@ -141,7 +141,6 @@ impl Program {
 /// A program's result at its end.
 pub(crate) enum Finished {
     Nothing,
-    /// A recorder's summary.
     Recorded(Box<Summary>),
     /// Questions that a worker has answered.
     Answered(QueryReport),

@@ -9,19 +9,14 @@ const SECOND: u64 = 1_000 * MS;
 /// A part of the fleet: a process that is restarted when it ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Role {
-    /// The predictor-worker.
     Worker,
     /// A source of samples.
     Source(usize),
-    /// A planner.
     Planner(usize),
     /// A client that asks the worker about plans.
     Client(usize),
-    /// The recorder.
     Recorder,
-    /// A display.
     Display(usize),
-    /// The bridge.
     Bridge,
 }
 
@@ -81,20 +76,17 @@ pub enum Fault {
 /// A fault and its time, simulated ns.
 pub type Planned = (u64, Fault);
 
-/// A fleet.
 #[derive(Debug, Clone)]
 pub struct Setup {
     /// Robots of each source.
     pub robots: usize,
     /// Sources that are always there.
     pub sources: usize,
-    /// Planners.
     pub planners: usize,
     /// Interval at which the first planner polls forecasts, ns. 0: each tick wakes it.
     pub poll_every_ns: u64,
     /// Clients that ask the worker about plans.
     pub clients: usize,
-    /// Displays.
     pub displays: usize,
     /// Bridges: sources whose robots follow those of the other ones. One at most.
     pub bridges: usize,
@@ -121,9 +113,7 @@ pub struct Setup {
 /// A simulation, completely: it depends on nothing else.
 #[derive(Debug, Clone)]
 pub struct Scenario {
-    /// The seed.
     pub seed: u64,
-    /// The fleet.
     pub setup: Setup,
     /// Duration without the time in which it must recover, ns.
     pub duration_ns: u64,

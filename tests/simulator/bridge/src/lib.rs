@@ -1,4 +1,5 @@
 //! The threads of `joulebus bridge` that open ports: its own sources, without connections.
+#![allow(missing_docs)] // Used by tests alone.
 #![forbid(unsafe_code)]
 #![allow(dead_code, unused_imports, reason = "the connections use what these threads do not")]
 

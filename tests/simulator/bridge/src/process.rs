@@ -21,7 +21,6 @@ use crate::shared::Shared;
 /// ticks of others wake it.
 const WRITE_EVERY: Duration = Duration::from_secs(1);
 
-/// A running bridge.
 #[allow(missing_debug_implementations, reason = "its ports have none")]
 pub struct Bridge {
     shared: Arc<Shared>,

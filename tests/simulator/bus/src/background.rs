@@ -17,7 +17,6 @@ pub struct Background<T = ()> {
 }
 
 impl Background {
-    /// Starts a thread.
     pub fn start<S: Steps + 'static, E: From<io::Error> + Send + 'static>(
         _name: &str,
         open: impl FnOnce() -> Result<S, E> + Send + 'static,
@@ -72,7 +71,6 @@ impl ThreadWatch {
         ""
     }
 
-    /// It has not.
     pub const fn has_ended(&self) -> bool {
         false
     }
@@ -85,7 +83,6 @@ impl<T> Background<T> {
     }
 
     /// True if the thread has ended by itself.
-    #[must_use]
     pub fn has_ended(&self) -> bool {
         self.ended.borrow().is_some()
     }

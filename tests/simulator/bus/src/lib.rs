@@ -2,6 +2,7 @@
 //!
 //! What decides whose frames are taken (`worker_ports.rs`), is the source of `crates/host/bus`.
 //! Ports here are queues; what iceoryx2 does is replaced, and only that.
+#![allow(missing_docs)] // Used by tests alone.
 #![forbid(unsafe_code)]
 #![allow(clippy::missing_errors_doc, reason = "`joulebus-bus` documents them")]
 
@@ -45,7 +46,6 @@ pub const fn touch_own_memory() {}
 /// There is one processor, and no nice value.
 pub const fn yield_to_the_worker(_nice: u8) {}
 
-/// Timers are exact.
 pub const fn set_timer_slack() -> std::io::Result<()> {
     Ok(())
 }
@@ -55,9 +55,7 @@ pub const fn set_timer_slack() -> std::io::Result<()> {
 pub struct Ports {
     /// Processes that publish samples.
     pub sources: usize,
-    /// Workers.
     pub workers: usize,
-    /// Planners.
     pub planners: usize,
 }
 

@@ -33,7 +33,6 @@ fn refused(service: Service, reason: &str) -> OpenError {
     OpenError::Port { service: service.name(), reason: reason.to_owned() }
 }
 
-/// Sends frames.
 #[derive(Debug)]
 pub struct Writer<C: Channel> {
     port: u128,
@@ -112,7 +111,6 @@ impl<C: Channel> Writer<C> {
         }
     }
 
-    /// Number of readers.
     pub fn readers(&self) -> usize {
         with(C::SERVICE, |state| state.readers.len())
     }
@@ -203,23 +201,19 @@ pub struct Loan<'a, C: Channel> {
 }
 
 impl<C: Channel> Loan<'_, C> {
-    /// The frame's header.
     pub const fn header_mut(&mut self) -> &mut C::Header {
         &mut self.header
     }
 
-    /// The frame's slice.
     pub fn payload_mut(&mut self) -> &mut [C::Row] {
         &mut self.payload
     }
 
-    /// Sends the frame.
     pub fn send(self) -> Result<usize, SendError> {
         Ok(self.writer.deliver(self.header, self.payload))
     }
 }
 
-/// Reads frames.
 #[derive(Debug)]
 pub struct Reader<C: Channel> {
     number: u64,

@@ -170,12 +170,10 @@ impl QueryServer {
         Ok(Sent { readers: 1, not_woken: woken.err() })
     }
 
-    /// Waits for questions.
     pub fn wait_until(&mut self, deadline_ns: u64) -> Result<(), WaitError> {
         self.asked.wait_until(Some(deadline_ns), None).map(|_| ())
     }
 
-    /// Number of clients.
     pub fn clients(&mut self) -> usize {
         let now = with(|state| state.clients.iter().map(|(port, _)| *port).collect());
         self.leak.look(now, clock::monotonic_ns())
@@ -196,12 +194,10 @@ impl Drop for QueryServer {
 }
 
 impl OpenQuery {
-    /// Its header.
     pub fn header(&self) -> &QueryHeader {
         &self.transfer.header
     }
 
-    /// Its values.
     pub fn values(&self) -> &[f64] {
         &self.transfer.values
     }

@@ -15,7 +15,6 @@ use crate::processes::{below, disk_access, has_descriptors, is_dead, once_in, op
 /// A fault of the disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
-    /// Nothing.
     None,
     /// Every third access fails.
     Failing,
@@ -84,7 +83,6 @@ pub(crate) fn begin() {
 /// Maximum space that a disk has left when it begins to be full, bytes.
 const MAX_ROOM: usize = 20_000;
 
-/// Sets what fails.
 pub fn fail(fault: Fault) {
     let room = if fault == Fault::Full { below(MAX_ROOM) } else { 0 };
     with(|disk| (disk.fault, disk.room) = (fault, room));
@@ -136,7 +134,6 @@ impl Disk {
     }
 }
 
-/// An open file.
 #[derive(Debug)]
 pub struct File {
     number: u64,

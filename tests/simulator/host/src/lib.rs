@@ -6,6 +6,7 @@
 //! Each call of the shells that reaches the host is an [`operation`]: it takes time, and the
 //! simulator may let the process die in it, which unwinds with [`Killed`]. From then on until
 //! [`leave`] the process does nothing: its destructors run, and have no effect.
+#![allow(missing_docs)] // Used by tests alone.
 #![forbid(unsafe_code)]
 
 mod current;

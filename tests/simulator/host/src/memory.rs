@@ -15,7 +15,6 @@ const ACCOUNTS: usize = 64;
 pub struct Account(u8);
 
 impl Account {
-    /// As a byte.
     pub const fn byte(self) -> u8 {
         self.0
     }

@@ -51,7 +51,6 @@ thread_local! {
 /// Usual duration of an operation, ns.
 pub const USUAL_COST_NS: u64 = 100;
 
-/// Begins without processes.
 pub(crate) fn begin(seed: u64) {
     THREADS.with_borrow_mut(Vec::clear);
     WITHOUT_DESCRIPTORS.with_borrow_mut(Vec::clear);

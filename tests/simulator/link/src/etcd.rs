@@ -31,7 +31,6 @@ pub enum Access {
     Lossy(usize),
     /// The store does not answer, although every other call arrives.
     Silent,
-    /// No call arrives.
     Cut,
 }
 

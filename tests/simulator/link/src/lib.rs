@@ -1,4 +1,5 @@
 //! The threads of `joulebus link`: its own sources, with a simulated network and a simulated store.
+#![allow(missing_docs)] // Used by tests alone.
 #![forbid(unsafe_code)]
 #![allow(dead_code, unused_imports, reason = "the program uses what the threads do not")]
 

@@ -24,12 +24,10 @@ type Stream = (Kind, bool);
 /// A message from link to link.
 #[derive(Debug, Clone)]
 pub struct Packet {
-    /// The sending link.
     pub from: String,
     /// The link that it is meant for.
     pub to: String,
     stream: Stream,
-    /// The payload.
     pub bytes: Vec<u8>,
 }
 

@@ -21,7 +21,6 @@ impl LinkFile {
     }
 }
 
-/// A running link.
 #[allow(missing_debug_implementations, reason = "its ports have none")]
 pub struct Link(threads::Threads);
 

@@ -48,7 +48,6 @@ pub(super) struct Report {
     pub published: Option<u64>,
     /// Frames that the planner was given.
     pub learned: u64,
-    /// Processes started.
     pub processes: u64,
     /// Links that have ended.
     pub links_ended: u64,

@@ -47,7 +47,6 @@ const REMEMBERED: usize = 4_096;
 
 type Work = Box<dyn FnOnce(&mut Machine) + Send>;
 
-/// A host's thread.
 struct Handle {
     work: Sender<Work>,
     /// When its next step is due, simulated ns.

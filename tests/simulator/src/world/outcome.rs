@@ -10,13 +10,10 @@ pub struct Outcome {
     pub simulated_ns: u64,
     /// Ticks of all workers.
     pub ticks: u64,
-    /// Faults that happened.
     pub faults: u64,
-    /// Processes started.
     pub processes: u64,
     /// Captures read and computed again, and their ticks.
     pub captures: u64,
-    /// Ticks computed again.
     pub verified_ticks: u64,
     /// Questions that clients were answered.
     pub questions: u64,

@@ -31,7 +31,6 @@ pub(crate) fn begin() {
 /// Holder of a worker's lock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct WorkerOwner {
-    /// Its pid.
     pub pid: Option<u32>,
 }
 
@@ -43,7 +42,6 @@ pub struct WorkerLock {
 }
 
 impl WorkerLock {
-    /// Takes the lock.
     pub fn acquire(domain: &Domain) -> Result<Self, WorkerLockError> {
         host::operation();
         crate::left::check_left()?;
