@@ -111,9 +111,7 @@ pub struct Child {
 pub struct Ended {
     /// Exit code or signal.
     pub status: ExitStatus,
-    /// Lines on stdout.
     pub stdout: Vec<String>,
-    /// Lines on stderr.
     pub stderr: Vec<String>,
 }
 
@@ -146,12 +144,10 @@ impl Ended {
         self.status.signal()
     }
 
-    /// All of stderr.
     pub fn errors(&self) -> String {
         self.stderr.join("\n")
     }
 
-    /// All of stdout.
     pub fn text(&self) -> String {
         self.stdout.join("\n")
     }
@@ -203,12 +199,10 @@ impl Child {
         self
     }
 
-    /// Its pid.
     pub fn pid(&self) -> u32 {
         self.process.id()
     }
 
-    /// Start time.
     pub const fn started(&self) -> Instant {
         self.started
     }

@@ -50,7 +50,6 @@ impl TestFleet {
         Self { config, root, prefix }
     }
 
-    /// Its config.
     pub fn config(&self) -> &Path {
         &self.config
     }

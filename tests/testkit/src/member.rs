@@ -39,7 +39,6 @@ impl Member {
         Self { child, lines_read: 0 }
     }
 
-    /// Its pid.
     pub fn pid(&self) -> u32 {
         self.child.pid()
     }
@@ -91,7 +90,6 @@ impl Member {
         assert!(stopped.is_some_and(|(_, status)| status.stopped()));
     }
 
-    /// Sends SIGCONT.
     pub fn resume(&mut self) {
         self.child.signal(Signal::CONT);
     }

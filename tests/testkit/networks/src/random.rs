@@ -12,7 +12,6 @@ use joulebus_predictor::{
 pub struct Noise(pub u64);
 
 impl Noise {
-    /// Any number.
     pub fn next_u64(&mut self) -> u64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
         let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -26,7 +25,6 @@ impl Noise {
     }
 }
 
-/// Random parameters.
 pub fn parameters(noise: &mut Noise, feature_set: FeatureSet) -> Parameters {
     let [first, second, third] = HIDDEN;
     let mut layer = |inputs: usize, outputs: usize| {
