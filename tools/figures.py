@@ -1,10 +1,10 @@
 """Figures in the layout of `joulebus bench --json`, for the scripts in tools/ (standard library only).
 
-    python3 tools/figures.py FOLDER...    # prints the figures of these folders' *.json as Markdown
+    python3 tools/figures.py FOLDER...                    # prints the figures of these folders' *.json as Markdown
+    python3 tools/figures.py --compare BEFORE.json AFTER.json    # prints what changed, beyond noise or not
 
 A suite is {schema, machine, build, reports}. A report is {benchmark, input, notes, figures}. A
-figure is {name, case, unit, better, count, min, p25, p50, p75, p99, p999, max}. `joulebus bench
---compare` reads what is written here.
+figure is {name, case, unit, better, count, min, p25, p50, p75, p99, p999, max}.
 """
 import json
 import math
@@ -136,7 +136,32 @@ def page(suite):
     return "\n\n".join(parts)
 
 
+def compare(old, new):
+    """The figures of both suites: medians, how many times worse, and whether the interquartile ranges are apart."""
+    named = lambda suite: {(report["benchmark"], figure["name"], figure["case"], figure["unit"]): figure
+                           for report in suite["reports"] for figure in report["figures"]}
+    for part in ("machine", "build"):
+        for name in old[part].keys() & new[part].keys():
+            if old[part][name] != new[part][name]:
+                print(f"differs, {part}: {name} {old[part][name]} before, now {new[part][name]}")
+    before, now = named(old), named(new)
+    if not before.keys() & now.keys():
+        sys.exit("nothing in common: measure the same benchmark with the same sizes")
+    for key, figure in now.items():
+        if key not in before:
+            continue
+        was = before[key]
+        times = figure["p50"] / was["p50"] if figure["better"] == "less" else was["p50"] / figure["p50"]
+        apart = figure["p25"] > was["p75"] or was["p25"] > figure["p75"]
+        verdict = "" if not apart else "WORSE" if times > 1 else "better"
+        print(f"{' '.join(key[:3]):<60} {shown(was['p50']):>10} {shown(figure['p50']):>10} {times:7.3f}× worse  {verdict}")
+    for key in before.keys() ^ now.keys():
+        print("only", "before:" if key in before else "now:", *key)
+
+
 def main():
+    if sys.argv[1:2] == ["--compare"]:
+        return compare(*(json.loads(pathlib.Path(name).read_text()) for name in sys.argv[2:4]))
     files = [file for folder in sys.argv[1:] for file in sorted(pathlib.Path(folder).glob("*.json"))]
     print("\n\n".join(page(json.loads(file.read_text())) for file in files))
 

@@ -35,17 +35,14 @@ pub(crate) enum TickFleet {
     Learning,
 }
 
-/// Measure the speed of this machine, and compare with an earlier run
+/// Measure the speed of this machine
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus bench kernel                                  ns per robot by batch size, share of the peak\n  \
     joulebus bench all --quick                             smoke test: runs, without usable figures\n  \
-    joulebus bench kernel --json before.json\n  \
-    joulebus bench kernel --compare before.json            changes since then\n  \
-    joulebus bench kernel --compare before.json --fail-above 1.1\n\n\
+    joulebus bench kernel --json before.json               for tools/figures.py --compare\n\n\
     Times are p50, p99, p99.9 and max over all repetitions. Measurements are interleaved, so that \
-    ratios hold on a busy machine. Absolute figures do not. Timings never decide the exit code, \
-    except with --fail-above (exit 3). Build with --release.")]
+    ratios hold on a busy machine. Absolute figures do not. Timings never decide the exit code. Build with --release.")]
 pub(crate) struct BenchArguments {
     /// The benchmark
     #[arg(value_enum)]
@@ -53,18 +50,11 @@ pub(crate) struct BenchArguments {
     /// Its options.
     #[command(flatten)]
     pub(crate) options: BenchOptions,
-    /// Write the figures to a file, for --compare
+    /// Write the figures to a file
     #[arg(long, value_name = "FILE")]
     pub(crate) json: Option<PathBuf>,
-    /// Compare with the figures of an earlier run
-    #[arg(long, value_name = "FILE")]
-    pub(crate) compare: Option<PathBuf>,
-    /// With --compare: exit 3 if a figure is worse by this factor, beyond noise
-    #[arg(long, value_name = "RATIO", requires = "compare", value_parser = ratio)]
-    pub(crate) fail_above: Option<f64>,
 }
 
-/// Options of benchmarks.
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct BenchOptions {
     /// Sizes: robots per batch or fleet, separated by commas [default: those of the benchmark]
@@ -157,10 +147,4 @@ fn within(text: &str, least: usize, most: usize) -> Result<usize, String> {
     let count = text.parse().ok();
     let allowed = count.filter(|count| (least..=most).contains(count));
     allowed.ok_or_else(|| format!("allowed are {least} to {most}"))
-}
-
-fn ratio(text: &str) -> Result<f64, String> {
-    let ratio = text.parse().ok();
-    let allowed = ratio.filter(|ratio: &f64| *ratio >= 1.0 && ratio.is_finite());
-    allowed.ok_or_else(|| "allowed are numbers from 1, like 1.1".to_owned())
 }

@@ -1,14 +1,14 @@
 //! Distribution of the repetitions of one measurement.
 
 use hdrhistogram::Histogram;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 /// Distribution of one figure over its repetitions, in the figure's unit.
 ///
 /// Quantiles are nearest ranks: each is a measured value. Below 1000 repetitions `p999` is the
 /// maximum, below 100 `p99` is too.
 #[allow(missing_docs, reason = "the names are those of the quantiles")]
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Distribution {
     pub count: u64,
     pub min: f64,
@@ -42,11 +42,6 @@ impl Distribution {
     pub fn of_histogram(histogram: &Histogram<u64>, scale: f64) -> Option<Self> {
         let at = |quantile| histogram.value_at_quantile(quantile) as f64 * scale;
         (!histogram.is_empty()).then(|| Self::quantiles(histogram.len(), at))
-    }
-
-    /// True if the interquartile ranges are disjoint, so that the difference exceeds noise.
-    pub fn differs_from(&self, other: &Self) -> bool {
-        self.p25 > other.p75 || other.p25 > self.p75
     }
 }
 

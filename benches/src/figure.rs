@@ -1,11 +1,11 @@
 //! One measured figure.
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use crate::Distribution;
 
 /// Direction of improvement.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Better {
     /// Times, bytes.
@@ -15,7 +15,7 @@ pub enum Better {
 }
 
 /// One measured figure: the same name and case denote the same measurement in another run.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Figure {
     /// Its name, the unit last: `avx512_ns_per_robot`.
     pub name: String,
@@ -23,7 +23,6 @@ pub struct Figure {
     pub case: String,
     /// The unit: `ns`, `GMAC/s`, `bytes`. `1` for ratios.
     pub unit: String,
-    /// Direction of improvement.
     pub better: Better,
     /// Its repetitions.
     #[serde(flatten)]

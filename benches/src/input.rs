@@ -7,13 +7,9 @@ use joulebus_predictor::{Features, MAX_MODEL_BYTES, Network};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
-/// The built-in model.
 pub(crate) const MODEL: &str = "gternal-sim";
 
 /// The network of a model file, or the built-in one, with its name.
-///
-/// # Errors
-/// The file cannot be read or is refused.
 pub(crate) fn network(path: Option<&Path>) -> anyhow::Result<(String, Network)> {
     match path {
         None => {

@@ -42,7 +42,6 @@ const ROBOTS: [usize; 5] = [1, 20, 100, 1_000, 10_000];
 /// Command that starts this program in a [`Role`].
 #[derive(Debug, Clone)]
 pub struct Launcher {
-    /// The program.
     pub program: PathBuf,
     /// Arguments before those of the role.
     pub arguments: Vec<String>,
@@ -133,7 +132,6 @@ pub fn play(role: &Role) -> anyhow::Result<()> {
 /// Figures of one fleet size.
 #[derive(Debug)]
 struct Row {
-    /// Robots per frame.
     robots: usize,
     broker: broker::Figures,
     /// Two raw iceoryx2 hops of frames of the same sizes, from the intended time.
@@ -150,9 +148,6 @@ struct Row {
 
 /// Measures all sizes, one after the other. Reports progress on stderr. `launcher` starts this
 /// program in a [`Role`].
-///
-/// # Errors
-/// A process could not be started, or failed.
 pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<Report> {
     let (rate_hz, seconds) = (options.rate_hz, options.seconds_or(10));
     let scheduling = threads::scheduling(options);

@@ -1,12 +1,12 @@
 //! Benchmarks: `joulebus bench`, a separate program.
 //!
 //! Every figure has a name that ends in its unit, a case, and the [`Distribution`] of its
-//! repetitions. A [`Suite`] adds the machine, the build and the input, is written as text and as
-//! JSON, and can be [compared](Comparison) with an earlier one.
+//! repetitions. A [`Suite`] adds the machine, the build and the input, as text and as JSON.
+//! `tools/figures.py` compares two.
+#![allow(missing_docs)] // A program of its own.
 #![forbid(unsafe_code)]
 
 mod arguments;
-mod compare;
 mod distribution;
 mod figure;
 mod input;
@@ -26,7 +26,6 @@ mod world;
 
 pub use joulebus_latency::{Spread, histogram};
 
-pub use compare::{Change, Comparison, Verdict};
 pub use distribution::Distribution;
 pub use figure::{Better, Figure};
 pub use machine::Facts;

@@ -18,9 +18,7 @@ const STEPS: usize = 10_000;
 /// Vector instruction sets with a peak.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Isa {
-    /// Eight lanes.
     Avx2,
-    /// Sixteen lanes.
     Avx512,
     /// Four lanes, on aarch64.
     Neon,

@@ -39,9 +39,6 @@ const PHASE: Duration = Duration::from_millis(500);
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// Measures answers, then ticks.
-///
-/// # Errors
-/// A fleet cannot be started in `/dev/shm`.
 pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<Report> {
     let robots = options.robots.first().copied().unwrap_or(1_000);
     let mut report = Report::new("questions")

@@ -123,7 +123,6 @@ impl Work {
         black_box(&mut self.energy_j);
     }
 
-    /// One repetition: ns.
     pub(crate) fn run(&mut self) -> f64 {
         let start = Instant::now();
         self.call();

@@ -1,6 +1,5 @@
-//! `joulebus-bench`: measures, writes the figures, and compares them with an earlier run.
+//! `joulebus-bench`: measures, and writes the figures.
 
-use std::fmt;
 use std::fs;
 use std::path::Path;
 use std::process::ExitCode;
@@ -11,10 +10,9 @@ use clap::Parser;
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::verb;
-use serde::Serialize;
 
 use crate::latency::{self, Launcher, Role};
-use crate::{Comparison, Report, Suite, kernel, plan, questions, rollout, tick};
+use crate::{Report, Suite, kernel, plan, questions, rollout, tick};
 
 /// First argument of the latency benchmark's child processes.
 const ROLE: &str = "role";
@@ -46,32 +44,12 @@ fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
     if cfg!(debug_assertions) {
         log_line("warning: this is a dev build. Build with --release");
     }
-    // Read first, so that an error does not cost minutes of measuring.
-    let old = arguments.compare.as_deref().map(read).transpose()?;
     let suite = Suite::here(measure(arguments.benchmark, &arguments.options)?);
     if let Some(path) = &arguments.json {
         write(path, &suite)?;
     }
-    let comparison = old.map(|old| Comparison::new(&old, &suite)).transpose()?;
-    let allowed = arguments.fail_above.unwrap_or(f64::INFINITY);
-    let worse = comparison.iter().flat_map(|all| all.worse_than(allowed));
-    let worse: Vec<String> = worse
-        .map(|change| format!("{}: {:.3} times worse", change.name, change.times_worse))
-        .collect();
-    let is_worse = !worse.is_empty();
-    output.report(&Measured { suite, comparison, worse })?;
-    Ok(Outcome::unless_lost(is_worse))
-}
-
-/// A finished measurement.
-#[derive(Debug, Serialize)]
-struct Measured {
-    #[serde(flatten)]
-    suite: Suite,
-    /// Comparison with an earlier run, if requested.
-    comparison: Option<Comparison>,
-    /// Figures that are worse than `--fail-above` allows.
-    worse: Vec<String>,
+    output.report(&suite)?;
+    Ok(Outcome::Done)
 }
 
 fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<Report>> {
@@ -98,17 +76,6 @@ fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<R
     })
 }
 
-/// Maximum size of a file of figures, bytes.
-const MAX_FIGURES_BYTES: u64 = 16 << 20;
-
-fn read(path: &Path) -> anyhow::Result<Suite> {
-    let shown = path.display();
-    let text = joulebus_files::read_to_string(path, MAX_FIGURES_BYTES)
-        .with_context(|| format!("cannot read {shown}"))?;
-    serde_json::from_str(&text)
-        .with_context(|| format!("{shown} has no figures: write it with --json"))
-}
-
 fn write(path: &Path, suite: &Suite) -> anyhow::Result<()> {
     let shown = path.display();
     let json = serde_json::to_string_pretty(suite)? + "\n";
@@ -116,17 +83,4 @@ fn write(path: &Path, suite: &Suite) -> anyhow::Result<()> {
         .map_or(Ok(()), fs::create_dir_all)
         .with_context(|| format!("cannot write {shown}"))?;
     joulebus_program::file::write(path, json.as_bytes())
-}
-
-impl fmt::Display for Measured {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}", self.suite)?;
-        if let Some(comparison) = &self.comparison {
-            write!(out, "\n{comparison}")?;
-        }
-        for worse in &self.worse {
-            writeln!(out, "too slow: {worse}")?;
-        }
-        Ok(())
-    }
 }

@@ -106,7 +106,6 @@ fn figures(network: &Network, size: usize, options: &BenchOptions) -> anyhow::Re
     Ok(report.figures)
 }
 
-/// Back-to-back rounds.
 fn back_to_back(bench: &mut Bench, options: &BenchOptions) -> Vec<Round> {
     for _ in 0..WARM_UP {
         bench.tick_in_one();

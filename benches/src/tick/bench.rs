@@ -36,9 +36,7 @@ pub(crate) struct Round {
     pub(crate) with_outlooks: f64,
     /// Ingest of the tick in two passes.
     pub(crate) take_in_two: f64,
-    /// Its first pass.
     pub(crate) forecast: f64,
-    /// Its second pass.
     pub(crate) account: f64,
 }
 
@@ -72,7 +70,6 @@ pub(super) struct Bench {
     budgets: Vec<Budget>,
     plan_states: Vec<PlanState>,
     outlooks: Vec<Outlook>,
-    /// Rounds so far.
     rounds: u64,
     before_bytes: Option<u64>,
 }

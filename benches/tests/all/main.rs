@@ -1,5 +1,4 @@
 //! The tests of the benchmarks' program.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-mod compare;
 mod program;

@@ -105,7 +105,7 @@ fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
     for (words, exit, expected) in [
         ("help serve", 0, "--webhook"),
-        ("bench --help", 0, "--fail-above"),
+        ("bench --help", 0, "--worker-cpus"),
         ("mission --help", 0, "--battery-wh"),
         ("help train trials", 0, "--hold-out"),
         ("publish --help", 0, "trial"),
@@ -124,6 +124,6 @@ fn help_and_usage_errors_need_no_executable() {
         assert!(printed.contains(expected), "{words}: {printed}");
     }
     let script = output(["completions", "bash"]);
-    let parts = "--per-robot | --fail-above | --worker-cpus | --false-alarms";
+    let parts = "--per-robot | --worker-cpus | --false-alarms";
     assert_contains(&stdout(&script), parts.split(" | "));
 }

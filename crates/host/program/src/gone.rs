@@ -6,7 +6,6 @@ use clap::error::{ContextKind, ContextValue, ErrorKind};
 const FOXGLOVE: &str =
     "captures open in Foxglove, and the ROS 2 bridge publishes: docs/how-to/foxglove.md";
 
-/// Evaluations in parts.
 const PARTS: &str = "one `joulebus eval` runs the recordings on all processors. It gives the same \
                      report, and --format json is for programs";
 
@@ -20,6 +19,10 @@ const CAT: &str = "`mcap cat FILE --json` prints the messages of captures and of
 /// Formats that only `cat` had.
 const ROWS: &str =
     "the verb `cat`, which had it, went too. Use --format json, or `mcap cat FILE --json`";
+
+/// Two runs of `joulebus bench`.
+const COMPARE: &str =
+    "`python3 tools/figures.py --compare BEFORE.json AFTER.json` compares two files of --json";
 
 /// The program of a verb.
 const PROGRAM: &str = "joulebus";
@@ -60,6 +63,13 @@ const GONE: &[(&str, &str, &str)] = &[
     ("model import", "--part", STATED),
     ("model info", "--activation", STATED),
     ("model info", "--part", STATED),
+    ("bench", "--compare", COMPARE),
+    ("bench", "--fail-above", COMPARE),
+    (
+        "KIND",
+        "shards",
+        "a fleet has one worker, and a large one is split into several: docs/how-to/several-fleets.md",
+    ),
     (
         "BENCHMARK",
         "wait",
@@ -111,7 +121,8 @@ mod tests {
         let format = format.value_parser(["text", "json"]);
         let known = clap::Arg::new("http").long("http").action(clap::ArgAction::SetTrue);
         let chosen = clap::Arg::new("benchmark").value_name("BENCHMARK").value_parser(["kernel"]);
-        let verb_of = clap::Command::new(verb).arg(known).arg(chosen).arg(format);
+        let kind = clap::Arg::new("kind").long("kind").value_name("KIND").value_parser(["fleet"]);
+        let verb_of = clap::Command::new(verb).args([known, chosen, format, kind]);
         let program = clap::Command::new("joulebus").subcommand(verb_of);
         let words = ["joulebus"].iter().chain(words);
         let refused = program.try_get_matches_from(words);
@@ -141,6 +152,8 @@ mod tests {
                 assert_eq!(refused("new", &["new", word]), None, "of another verb");
             } else if of == "FORMAT" {
                 assert_eq!(refused("info", &["info", "--format", word]), expected);
+            } else if of == "KIND" {
+                assert_eq!(refused("schema", &["schema", "--kind", word]), expected);
             } else {
                 assert_eq!(refused("bench", &["bench", word]), expected);
             }
