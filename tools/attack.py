@@ -35,8 +35,6 @@ ATTACKS = [
      {"JOULEBUS_PUBLISHER_KILLS": "40"}),
     ("workers", "workers killed at random instants", SYSTEM.format("workers"),
      {"JOULEBUS_WORKER_KILLS": "20"}),
-    ("planners", "planners killed while they hold frames", SYSTEM.format("planners"),
-     {"JOULEBUS_PLANNER_KILLS": "20"}),
     ("clients", "clients killed in the middle of questions, and the worker while it is asked",
      SYSTEM.format("questions"), {"JOULEBUS_ASK_KILLS": "20", "JOULEBUS_ANSWERER_KILLS": "20"}),
     ("recorders", "recorders killed while they write", SYSTEM.format("captures"),

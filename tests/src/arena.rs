@@ -39,7 +39,6 @@ pub struct Setup {
     pub default_ledger: bool,
     /// File of the only platform.
     pub platform: &'static str,
-    /// Its robots.
     pub robots: &'static str,
     /// `platform.rate_hz`.
     pub rate_hz: f64,
@@ -154,7 +153,6 @@ impl Arena {
         arena
     }
 
-    /// Rewrites the config.
     pub fn configure(&self, setup: &Setup) {
         let text = setup.toml(self.domain.root(), &self.ledger());
         fs::write(self.config(), text).expect("writable directory");
@@ -170,12 +168,10 @@ impl Arena {
         &self.files
     }
 
-    /// The config file.
     pub fn config(&self) -> PathBuf {
         self.files.join("fleet.toml")
     }
 
-    /// The ledger's checkpoint.
     pub fn ledger(&self) -> PathBuf {
         self.files.join("ledger.json")
     }

@@ -18,7 +18,6 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Adds a value.
     pub fn add(&mut self, value: Duration) {
         self.values.push(value);
     }
@@ -28,7 +27,6 @@ impl Spread {
         self.add(Duration::from_nanos(value_ns));
     }
 
-    /// Number of values.
     pub const fn count(&self) -> usize {
         self.values.len()
     }

@@ -4,6 +4,7 @@
 //! The tests never access shared memory themselves, because members of a fleet are killed, paused
 //! and starved: a small program, `joulebus-probe`, does so and reports in JSON lines. Nothing here
 //! sleeps to synchronise: everything waits for a condition, with the timeout [`PATIENCE`].
+#![allow(missing_docs)] // Used by tests alone.
 #![forbid(unsafe_code)]
 
 mod arena;

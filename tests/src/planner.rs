@@ -16,7 +16,6 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// A planner or recorder in a separate process.
 #[derive(Debug)]
 pub struct Planner {
-    /// The process.
     pub child: Child,
     lines: Vec<ReaderLine>,
     at: usize,

@@ -33,7 +33,6 @@ pub struct Forge {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameLine {
     samples: Vec<u32>,
-    /// Forged header values.
     pub forge: Forge,
 }
 
@@ -43,7 +42,6 @@ impl FrameLine {
         Self { samples: words(samples).to_vec(), forge }
     }
 
-    /// Its samples.
     pub fn samples(&self) -> Vec<Sample> {
         rows(&self.samples)
     }
@@ -73,8 +71,6 @@ pub enum SourceLine {
 pub enum ReaderLine {
     /// The planner has joined.
     Ready,
-    /// The planner holds a frame and does not release it.
-    Holds,
     /// A frame of forecasts.
     Forecasts(FrameRead<Forecasts>),
     /// A frame of diagnostics.
@@ -138,12 +134,10 @@ pub struct FrameRead<C: Channel> {
     /// When it was read, monotonic ns.
     pub read_ns: u64,
     header: C::Header,
-    /// Its robots.
     pub robots: Vec<C::Row>,
 }
 
 impl<C: Channel> FrameRead<C> {
-    /// Copies a frame.
     pub fn new(header: &C::Header, robots: &[C::Row], read_ns: u64) -> Self {
         Self { read_ns, header: *header, robots: robots.to_vec() }
     }

@@ -7,7 +7,6 @@ use crate::{Child, Ended, Forge, FrameLine, PATIENCE, SourceLine};
 /// A source in a separate process.
 #[derive(Debug)]
 pub struct Source {
-    /// The process.
     pub child: Child,
     /// When its run began, monotonic ns.
     pub source_epoch: u64,

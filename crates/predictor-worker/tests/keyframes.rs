@@ -45,7 +45,6 @@ fn config(root: &Path) -> Config {
     Config::parse(&text, &root.join("nowhere")).unwrap()
 }
 
-/// Recorded frames.
 #[derive(Default)]
 struct Recorded {
     samples: HashMap<(u64, u64), (SampleHeader, Vec<Sample>)>,

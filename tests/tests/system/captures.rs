@@ -8,9 +8,7 @@ use std::time::Duration;
 
 use joulebus_bus::clock;
 use joulebus_capture_format::{Entry, ReadError, Reader};
-use joulebus_tests::{
-    Arena, Child, Dice, Setup, Spread, eventually, figure, tick_ns, without_loss,
-};
+use joulebus_tests::{Arena, Child, Dice, Setup, Spread, eventually, figure, tick_ns};
 use joulebus_wire::State;
 
 /// 20 robots at 30 Hz, as in the demonstration.
@@ -190,40 +188,4 @@ fn a_full_disk_ends_only_the_capture() {
     assert!(report["messages_lost"].as_u64().unwrap() > 0, "{report}");
     let attachments = Reader::open(&file).unwrap();
     assert!(attachments.attachments().config("t").is_some());
-}
-
-#[test]
-fn two_fleets_are_recorded_into_one_file() {
-    let (one, other) = (arena(), arena());
-    // Fleets in one file must have different names.
-    let text = std::fs::read_to_string(other.config()).unwrap();
-    std::fs::write(other.config(), text.replace("name = \"t\"", "name = \"u\"")).unwrap();
-    let start = |arena: &Arena| (arena.worker(), arena.controller("source", 0, ROBOTS, HZ));
-    let fleets = [&one, &other].map(start);
-    let (file, _) = without_loss(|attempt| {
-        let file = one.files().join(format!("both-{attempt}.mcap"));
-        // The arena's config comes first on the command line.
-        let mut command = Command::new(joulebus_tests::program("joulebus-under-test"));
-        command.args(["record", "--format", "json", "-o"]).arg(&file);
-        for arena in [&one, &other] {
-            command.arg("--config").arg(arena.config());
-        }
-        let mut recorder = Child::spawn("recorder", command);
-        eventually("ticks of both fleets in the file", || {
-            let (found, _) = read(&file);
-            ["t", "u"].iter().all(|fleet| {
-                let of_fleet = found.iter().filter(|entry| &*entry.fleet == *fleet);
-                let ticks = of_fleet.filter(|entry| entry.topic.ends_with("/ticks"));
-                ticks.count() > 5
-            })
-        });
-        (file, recorder.end())
-    });
-    let (found, end) = read(&file);
-    assert!(end.is_none(), "{end:?}");
-    assert!(found.is_sorted_by_key(|entry| entry.log_time_ns));
-    for (mut worker, mut source) in fleets {
-        source.finish();
-        worker.stop();
-    }
 }

@@ -104,7 +104,6 @@ struct Role {
     name: &'static str,
     command: fn(&OwnShm) -> Command,
     is_ready: fn(&mut Child) -> bool,
-    /// Requests its shutdown.
     end: fn(&mut Child) -> Ended,
 }
 

@@ -254,44 +254,6 @@ fn the_recording_of_a_replay_equals_the_original() {
 }
 
 #[test]
-fn a_recording_started_in_the_middle_and_split_is_verified_from_its_keyframes() {
-    let arena = Arena::new(&Setup::simulated());
-    let mut worker = arena.worker();
-    let mut source = arena.controller("source", 0, 12, 30.0);
-    let mut planner = arena.planner();
-    planner.quality("a forecast", 3, |quality| quality == Quality::Fresh);
-    let _ = planner.leave();
-    let (split, _) = without_loss(|attempt| {
-        let name = format!("split{attempt}");
-        let file = arena.files().join(format!("{name}.mcap"));
-        let mut recorder = arena.recording(&file, &["--max-bag-duration", "4"]);
-        let third = arena.files().join(format!("{name}_2.mcap"));
-        eventually("the third file", || third.exists());
-        (attempt, end(&mut recorder))
-    });
-    source.finish();
-    worker.stop();
-
-    let files = [".mcap", "_1.mcap", "_2.mcap"].map(|end| {
-        let file = arena.files().join(format!("split{split}{end}"));
-        file.to_str().unwrap().to_owned()
-    });
-    let ended = alone(&["replay", "--verify", &files[0], &files[1], &files[2]]);
-    let report = ended.json();
-    assert_eq!(ended.code(), Some(0), "{report:#}");
-    assert_every_tick_verified(&report);
-    // The second file alone: it contains a keyframe every five seconds.
-    let report = alone(&["replay", "--verify", &files[1]]).json();
-    assert_eq!(report["differences"], 0, "{report:#}");
-    assert!(report["ticks_verified"].as_u64().unwrap() > 0, "{report:#}");
-    // Without the second file, the state for the third is missing: it continues from its own
-    // keyframe.
-    let ended = alone(&["replay", "--verify", &files[0], &files[2]]);
-    assert_eq!(ended.json()["differences"], 0);
-    assert_eq!(ended.code(), Some(3), "{}", ended.text());
-}
-
-#[test]
 fn another_model_is_compared_robot_by_robot() {
     let arena = Arena::new(&Setup::simulated());
     // Stamps of a script: the number of scored readings does not depend on the machine's speed.

@@ -6,7 +6,7 @@ use std::time::Duration;
 use joulebus_bus::clock;
 use joulebus_tests::{
     Arena, Child, Dice, FrameRead, Planner, ReaderLine, Setup, Spread, drawn_exact, eventually,
-    figure, sample, steady_uw,
+    figure, steady_uw,
 };
 use joulebus_wire::Budgets;
 use serde_json::Value;
@@ -190,47 +190,6 @@ fn row_2_killed_workers_are_detected_at_once_and_the_ledger_continues_exactly_fr
 }
 
 #[test]
-fn an_edited_ledger_is_renamed_and_reported_and_the_previous_one_is_used() {
-    let arena = Arena::new(&with_ledger());
-    let mut worker = arena.worker();
-    let mut planner = arena.planner();
-    let mut controller = arena.controller("controller", 0, ROBOTS, 50.0);
-    eventually("some energy is written down, twice", || {
-        let (_, older) = generation(&arena, ".older").unwrap_or_default();
-        let drawn = |account: &Value| account["drawn_uj"].as_i64() > Some(0);
-        older.len() == ROBOTS as usize && older.values().all(drawn)
-    });
-    assert_eq!(worker.stop().code(), Some(0));
-    let text = std::fs::read_to_string(arena.ledger()).expect("it was saved");
-    let at = text.find("\"drawn_uj\":").expect("an account") + "\"drawn_uj\":".len();
-    let end = at + text[at..].find(',').expect("more fields");
-    let edited = format!("{}100000000000{}", &text[..at], &text[end..]);
-    std::fs::write(arena.ledger(), &edited).expect("the arena's own directory");
-    let mut worker = arena.worker();
-    let pid = worker.pid();
-    let epoch = planner
-        .forecast("the next worker", |frame| (frame.pid == pid).then_some(frame.worker_epoch));
-    let budgets = planner.until("budgets", |line| match line {
-        ReaderLine::Budgets(frame) if frame.worker_epoch == epoch && !frame.robots.is_empty() => {
-            Some(frame.clone())
-        }
-        _ => None,
-    });
-    for line in &budgets.robots {
-        assert!(line.metered_ns > 0, "the older account goes on: {line:?}");
-        let drawn = 2 * steady_uw(line.robot) * i128::from(line.metered_ns);
-        assert_eq!(drawn_exact(line), drawn, "and not the edited one: {line:?}");
-    }
-    controller.finish();
-    planner.leave();
-    let ended = worker.stop();
-    let aside = arena.ledger().with_extension("json.damaged-1");
-    assert_eq!(std::fs::read_to_string(&aside).ok(), Some(edited), "kept");
-    let named = aside.display().to_string();
-    assert!(ended.errors().contains(&named), "{}", ended.errors());
-}
-
-#[test]
 fn a_worker_whose_ledger_cannot_be_saved_at_the_end_reports_it_and_ends_with_3() {
     let arena = Arena::new(&with_ledger());
     let mut worker = arena.worker();
@@ -263,31 +222,6 @@ fn runs(planner: &mut Planner) -> Vec<u64> {
         }
     }
     runs
-}
-
-#[test]
-fn row_17_a_second_worker_exits_with_the_owners_pid_and_the_first_continues() {
-    let setup = Setup::default();
-    let arena = Arena::new(&setup);
-    let mut first = arena.worker();
-    let mut planner = arena.planner();
-    let mut source = arena.source("fleet");
-    for seq in 0..20 {
-        let frame = [sample(0, seq, setup.period_ns())];
-        source.send(&frame);
-        if seq % 5 == 0 {
-            let second = arena.run(&["run"]);
-            assert_eq!(second.code(), Some(1), "{second:?}");
-            let owner_pid = format!("pid {}", first.pid());
-            assert!(second.errors().contains(&owner_pid), "{}", second.errors());
-        }
-        let answered = planner.answered(&frame);
-        assert_eq!(answered.pid, first.pid());
-    }
-    assert_eq!(runs(&mut planner).len(), 1);
-    source.leave();
-    planner.leave();
-    assert_eq!(first.stop().json()["frames_unsent"], 0);
 }
 
 #[test]

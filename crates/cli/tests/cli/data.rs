@@ -31,47 +31,6 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
 }
 
 #[test]
-fn what_a_loss_of_power_left_is_named_and_its_whole_rows_are_kept_on_request() {
-    let fleet = Fleet::new();
-    let (first, cut) = (fleet.recording("a.csv", 200), fleet.recording("b.csv", 200));
-    let text = std::fs::read_to_string(&cut).unwrap();
-    std::fs::write(&cut, format!("{}{}", text, "\0".repeat(512))).unwrap();
-    let folder = tempfile::tempdir().unwrap();
-    let runs = folder.path().join("runs");
-    std::fs::create_dir(&runs).unwrap();
-    for file in [&first, &cut] {
-        std::fs::copy(file, runs.join(file.file_name().unwrap())).unwrap();
-    }
-    let runs = runs.to_str().unwrap();
-    let check = output(["data", "check", runs]).exits(3);
-    assert_contains(
-        &stdout(&check),
-        ["lines that are no whole rows: 1 in 1 files", "b.csv: row 201: 512 NUL bytes"],
-    );
-    for verb in
-        [&["analyze"][..], &["data", "info"], &["train", "trials", "--out", "m.safetensors"]]
-    {
-        let words: Vec<&str> = verb.iter().copied().chain([runs]).collect();
-        let refused = output(&words);
-        assert_eq!(code(&refused), 1, "{verb:?}");
-        assert_contains(
-            &stderr(&refused),
-            ["b.csv: row 201", "512 NUL bytes", "--whole-rows", "leave the file out"],
-        );
-    }
-    let analysed = output(["analyze", runs, "--split", "time", "--whole-rows"]).exits(0);
-    assert_contains(&stderr(&analysed), ["b.csv: 1 lines that are no whole rows were left out"]);
-    let out = folder.path().join("whole.csv");
-    let (from, out) = (format!("{runs}/b.csv"), out.to_str().unwrap());
-    let converted = output(["data", "convert", &from, "--whole-rows", "--out", out]).exits(3);
-    assert_contains(
-        &stdout(&converted),
-        ["200 rows", "1 lines that are no whole rows were left out"],
-    );
-    output(["data", "check", out]).exits(0);
-}
-
-#[test]
 fn recordings_are_converted_and_resampled_only_on_request() {
     let fleet = Fleet::new();
     let from = fleet.recording("run.csv", 300);

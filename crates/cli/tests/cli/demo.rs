@@ -240,7 +240,6 @@ fn after_sigkill_its_processes_exit_and_the_next_run_cleans_up() {
     eventually("the killed demo's files are removed", || demo.stale_files().is_empty());
 }
 
-/// A separate fleet.
 struct Arena {
     domain: Domain,
     directory: tempfile::TempDir,

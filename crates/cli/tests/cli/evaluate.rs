@@ -97,41 +97,6 @@ fn a_built_in_model_is_named_as_in_a_config() {
 }
 
 #[test]
-fn split_holds_out_the_trials_that_training_held_out() {
-    let folder = tempfile::tempdir().unwrap();
-    let data = recordings(folder.path(), 10, 80);
-    let model = folder.path().join("own.safetensors");
-    let recipe = folder.path().join("recipe.toml");
-    fs::write(&recipe, "[training]\nmax_epochs = 2\n").unwrap();
-    let (data, recipe, model) = (text(&data), text(&recipe), text(&model));
-    done(format!("train trials {data} --recipe {recipe} --seed 3 --out {model}").split(' '));
-    let asked =
-        |seed: &str, by: &str| format!("eval --model {model} {data} --split {by} --seed {seed}");
-    let eval = |seed: &str, by: &str| {
-        let more = " --resamples 0 --horizons none --format json";
-        let done = done((asked(seed, by) + more).split(' '));
-        json(&done)["evaluations"][0].clone()
-    };
-    let own = eval("3", "trial");
-    assert_eq!(own["models"][0]["trained_on"]["rows"], 0, "{own}");
-    // 75 rows of a recording are too few to tell them from an excerpt.
-    assert_eq!(own["scored_rows"], "none_recognised", "{own}");
-    assert_eq!(own["untold_rows"], 150, "{own}");
-    assert_eq!(own["design"]["trials"], 2);
-    assert_eq!(own["trials"].as_array().unwrap().len(), 2);
-    assert_eq!(own["design"]["split"]["by"], "trial");
-    let description = own["design"]["description"].as_str().unwrap();
-    assert_contains(&description, ["split by trial", "seed 3"]);
-    assert!(own["open_loop"]["horizons"].as_array().unwrap().is_empty());
-    let other = eval("4", "trial");
-    assert_ne!(other["models"][0]["trained_on"]["rows"], 0, "{other}");
-    let in_time = eval("3", "time");
-    assert_eq!(in_time["design"]["trials"], 10);
-    let shown = output(asked("3", "trial").split(' '));
-    assert_contains(&stdout(&shown), ["none recognised of 150; 150 cannot be told"]);
-}
-
-#[test]
 fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_apart() {
     let fleet = Fleet::new();
     let folder = tempfile::tempdir().unwrap();
@@ -173,29 +138,6 @@ fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_a
     let (found, shown) = eval(&of("held_out"));
     assert_eq!(found["models"][0]["trained_on"]["rows"], 0);
     assert!(!shown.contains("warning"), "{shown}");
-}
-
-#[test]
-fn baselines_can_be_fitted_on_given_recordings() {
-    let folder = tempfile::tempdir().unwrap();
-    let data = recordings(folder.path(), 4, 80);
-    let at = |name: &str| data.join(name);
-    let (ice, sand, more) = (at("ice_01.csv"), at("sand_00.csv"), at("sand_02.csv"));
-    let asked = ["eval", "--model", MODELS[1], text(&ice), "--format", "json"];
-    let fit = ["--fit", text(&sand), text(&more)];
-    let report = json(&output(asked.iter().chain(&fit)));
-    let evaluation = &report["evaluations"][0];
-    assert_eq!(evaluation["design"]["fitted_rows"], 150);
-    assert_eq!(evaluation["baselines"][1]["line"]["rows"], 150);
-    // One block.
-    assert!(evaluation["all"]["forecasters"][0]["r2"]["lo"].is_null());
-    let copy = at("copy.csv");
-    std::fs::copy(&ice, &copy).unwrap();
-    for again in [&ice, &copy] {
-        let arguments = [text(&ice), "--fit", text(again)];
-        let twice = output([&["eval", "--model", MODELS[1]], &arguments[..]].concat()).exits(2);
-        assert_contains(&stderr(&twice), ["must not be scored on"]);
-    }
 }
 
 #[test]

@@ -5,7 +5,7 @@ use std::fs;
 use joulebus_testkit::{assert_contains, eventually};
 use rustix::process::Signal;
 
-use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr};
 
 #[test]
 fn every_sample_played_as_fast_as_possible_is_accepted() {
@@ -128,20 +128,6 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
 }
 
 #[test]
-fn a_second_worker_exits_and_reports_the_pid_of_the_first() {
-    let fleet = Fleet::new();
-    let worker = fleet.worker();
-    let second = fleet.output("run").exits(1);
-    assert_contains(&stderr(&second), [&*format!("pid {}", worker.pid())]);
-    assert_eq!(stdout(&second), "");
-    let doctor = json(&fleet.output("doctor --format json"));
-    let found = doctor["checks"].to_string();
-    assert_contains(&found, [&*format!("runs, pid {}", worker.pid())]);
-    assert_eq!(code(&worker.end(Signal::TERM)), 0);
-    assert!(fleet.stale_files().is_empty());
-}
-
-#[test]
 fn all_samples_of_a_simulated_fleet_are_accepted() {
     let fleet = Fleet::new();
     let worker = fleet.worker();
@@ -183,22 +169,4 @@ fn a_signal_ends_a_source_cleanly() {
         assert_eq!(json(&ended)["fleet"], "cli", "{verb}");
         assert!(fleet.stale_files().is_empty(), "{verb}");
     }
-}
-
-#[test]
-fn trials_are_evaluated_offline() {
-    let fleet = Fleet::new();
-    let file = fleet.recording("a.csv", 300);
-    let mut eval = fleet.joulebus("eval --first-robot 0 --format json");
-    let report = json(&eval.arg(&file).output().unwrap());
-    let robot = &report["robots"][0];
-    assert_eq!((&robot["robot"], &robot["accepted"]), (&0.into(), &300.into()), "{report}");
-    assert!(robot["persistence_mae_w"].as_f64().unwrap() > 0.0, "{report}");
-    let mut eval = fleet.joulebus("eval --first-robot 0");
-    let text = eval.arg(&file).output().unwrap();
-    assert!(stdout(&text).contains("gternal"), "{}", stdout(&text));
-    let mut eval = fleet.joulebus("eval --first-robot 0");
-    eval.arg(&file).arg("--model").arg(&file);
-    let refused = eval.output().unwrap();
-    assert_eq!(code(&refused), 1, "a recording is not a model");
 }

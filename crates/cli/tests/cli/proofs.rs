@@ -131,27 +131,6 @@ fn ticks_between_two_recordings_are_absent_and_a_snapshot_is_verified() {
     assert_eq!((&report["differences"], &report["runs"]), (&0.into(), &1.into()), "{report:#}");
 }
 
-#[test]
-fn topics_that_were_not_recorded_are_recomputed_and_not_compared() {
-    let fleet = Fleet::new();
-    let file = fleet.path("run.mcap");
-    let worker = fleet.worker();
-    let recorder = recorder(&fleet, &file, "--topics samples ticks state");
-    simulate(&fleet);
-    assert!(matches!(code(&recorder.end(Signal::TERM)), 0 | 3));
-    worker.end(Signal::TERM).exits(0);
-    let (code, report) = verify(std::slice::from_ref(&file));
-    assert_eq!(code, 3, "{report:#}");
-    let is_lossless = report["messages_lost"] == 0 && report["ticks_unverified"] == 0;
-    assert!(!is_lossless || report["verdict"] == "not_compared", "{report:#}");
-    let forecasts = &report["coverage"][0]["channels"]["forecasts"];
-    assert_eq!(forecasts["compared"], 0, "{report:#}");
-    assert!(forecasts["recomputed"].as_u64() > Some(10), "{report:#}");
-    let text = stdout(&output([Path::new("replay"), Path::new("--verify"), &file]));
-    assert!(!is_lossless || text.starts_with("recomputed, not compared: "), "{text}");
-    assert_contains(&text, ["not recorded, so not compared: forecasts, diagnostics, budgets"]);
-}
-
 /// The worker sends outlooks while somebody reads them, which a recorder of these topics does not.
 #[test]
 fn channels_on_demand_are_only_missed_in_ticks_in_which_somebody_read_them() {

@@ -16,7 +16,6 @@ use crate::{Done, print_line, stop_with_stdin};
 /// Far beyond what an answer takes: only a defect reaches it.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// Candidates of commands.
 fn commands(robot: u32, candidates: usize, steps: usize) -> Question {
     let wave = |at: usize| ((at * 7 + robot as usize) % 19) as f32 * 0.01;
     let places = 0..candidates * steps;

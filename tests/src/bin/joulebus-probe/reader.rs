@@ -1,6 +1,6 @@
 //! Readers that report everything they read.
 
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::Ordering;
 
 use joulebus_bus::{Bus, FrameBuf, PeerWatch, Reader, clock};
 use joulebus_config::Config;
@@ -11,8 +11,7 @@ use crate::{Done, print_line, stop_with_stdin};
 
 const POLL_INTERVAL_NS: u64 = 20_000_000;
 
-/// A planner; with `holds` it keeps its first frame until it is killed.
-pub(crate) fn plan(config: &Config, holds: bool) -> Done {
+pub(crate) fn plan(config: &Config) -> Done {
     let stop = stop_with_stdin();
     let limits = config.limits();
     let bus = Bus::join(&config.domain()?, "planner")?;
@@ -23,9 +22,6 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
         budgets: bus.reader(&limits)?,
     };
     print_line(&ReaderLine::Ready)?;
-    if holds {
-        return hold(&mut ports.forecasts, &stop);
-    }
     let mut worker: Option<(u32, PeerWatch)> = None;
     while !stop.load(Ordering::Relaxed) {
         let until_ns = clock::monotonic_ns() + POLL_INTERVAL_NS;
@@ -53,19 +49,6 @@ pub(crate) fn plan(config: &Config, holds: bool) -> Done {
         if let Some(pid) = newest.filter(|pid| Some(*pid) != known) {
             worker = PeerWatch::open(pid).map(|watch| (pid, watch));
         }
-    }
-    Ok(())
-}
-
-fn hold(forecasts: &mut Reader<Forecasts>, stop: &AtomicBool) -> Done {
-    while !stop.load(Ordering::Relaxed) {
-        if let Some(_held) = forecasts.take_next()? {
-            print_line(&ReaderLine::Holds)?;
-            while !stop.load(Ordering::Relaxed) {
-                std::thread::park_timeout(std::time::Duration::from_millis(50));
-            }
-        }
-        std::thread::yield_now();
     }
     Ok(())
 }

@@ -160,7 +160,6 @@ impl Hosts {
         }
     }
 
-    /// The sender's clock.
     fn there_ns(&self) -> u64 {
         u64::try_from(i128::from(self.now_ns) - self.offset_ns).unwrap()
     }
@@ -543,60 +542,4 @@ proptest! {
             prop_assert!(hosts.arrived.len() > before);
         }
     }
-}
-
-/// Hours of weather, in which either link starts again now and then. `JOULEBUS_LINK_HOURS` makes
-/// them a day, or more.
-#[test]
-fn through_hours_of_weather_and_restarts_every_calm_brings_all_frames_back() {
-    let variable = |name: &str| std::env::var(name).ok();
-    let hours: f64 = variable("JOULEBUS_LINK_HOURS").map_or(0.1, |hours| hours.parse().unwrap());
-    let seed: u64 = variable("JOULEBUS_SEED").map_or(1, |seed| seed.parse().unwrap());
-    let mut dice = Way { dice: seed, ..Way::default() };
-    let mut hosts = Hosts::new(-70 * i128::from(SECOND), FAST, seed);
-    let until_ns = BEGIN_NS + (hours * 3.6e12) as u64;
-    let (mut calms, mut restarts, mut carried) = (0, 0, 0);
-    while hosts.now_ns < until_ns {
-        for _ in 0..=dice.roll() % 12 {
-            let weather = Weather {
-                delay_ns: dice.roll() % 200_000_000,
-                jitter_ns: dice.roll() % 300_000_000,
-                loss_percent: dice.roll() % 60,
-                again_percent: dice.roll() % 60,
-                is_cut: dice.roll().is_multiple_of(4),
-            };
-            hosts.run((50 + dice.roll() % 4_000) * 1_000_000, weather);
-        }
-        hosts.run(3 * SECOND, CALM);
-        let (before, tick) = (hosts.arrived.len(), hosts.tick);
-        hosts.run(2 * SECOND, CALM);
-        let came = (hosts.arrived.len() - before) as u64;
-        assert!(came.abs_diff(hosts.tick - tick) <= 1, "{came} of {}", hosts.tick - tick);
-        assert!(hosts.arrived.is_sorted_by(|one, next| one.0 < next.0), "seed {seed}");
-        let &(last, at_ns) = hosts.arrived.last().unwrap();
-        assert!(hosts.age_ns(last, at_ns) < 20_000_000);
-        assert_eq!(hosts.receiver.received().frames, hosts.arrived.len() as u64);
-        calms += 1;
-        // The next one knows nothing of what came.
-        match dice.roll() % 4 {
-            0 => {
-                let own = Sender { fleet: FLEET, run: hosts.now_ns };
-                let wanted = Selection::new(Carried::FORECASTS.bit(), 1, vec![]);
-                hosts.receiver = Receiver::new(own, wanted);
-                hosts.stream = None;
-                carried += hosts.arrived.len();
-                hosts.arrived.clear();
-                restarts += 1;
-            }
-            1 => {
-                hosts.stream = None;
-                restarts += 1;
-            }
-            _ => {}
-        }
-    }
-    carried += hosts.arrived.len();
-    println!(
-        "figure: {hours} h, seed {seed}: {calms} calms, {restarts} restarts, {carried} frames"
-    );
 }

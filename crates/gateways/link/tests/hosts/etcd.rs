@@ -137,7 +137,6 @@ impl Etcd {
         self.server.as_mut().unwrap().wait_for_line("ready to serve client requests");
     }
 
-    /// Kills the server.
     pub(crate) fn kill(&mut self) {
         if let Some(server) = &mut self.server {
             server.kill();

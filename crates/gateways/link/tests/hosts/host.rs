@@ -19,7 +19,6 @@ pub(crate) fn joulebus() -> &'static Path {
 /// A host, as one fleet knows it.
 pub(crate) struct Host {
     directory: tempfile::TempDir,
-    /// Network namespace.
     namespace: Option<String>,
 }
 
@@ -134,7 +133,6 @@ impl Host {
         worker
     }
 
-    /// Starts simulated robots.
     pub(crate) fn robots(&self, words: &[&str]) -> Child {
         let words = [&["publish", "sim", "--seed", "3"], words].concat();
         Child::spawn("sim", self.joulebus(&words))

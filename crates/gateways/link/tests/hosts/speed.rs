@@ -200,7 +200,6 @@ fn took_ns(seen: &[Seen]) -> Vec<u64> {
     took.collect()
 }
 
-/// Measures zenoh alone.
 fn raw(bytes: usize) -> Cost {
     let address = free_address();
     let sender = process(SEND, format!("{address} {bytes}"));

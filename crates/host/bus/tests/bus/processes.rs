@@ -205,25 +205,6 @@ fn places_of_processes_killed_after_a_start_are_there_for_its_ports() {
 }
 
 #[test]
-fn after_twenty_kills_during_a_start_the_next_one_joins() {
-    let place = Place::new();
-    let mut source = place.joined("source");
-    for round in 0..20_u64 {
-        let mut member = place.member();
-        member.send_line("join");
-        member.send_line("worker");
-        member.send_line("planner");
-        // Spread over the start of the program.
-        std::thread::sleep(Duration::from_micros(500 * round));
-        member.kill();
-    }
-    let mut worker = place.joined("worker");
-    must(&mut source, "send 7");
-    assert!(must(&mut worker, "wait").contains("frame: true"));
-    assert!(must(&mut worker, "take").ends_with(":7"));
-}
-
-#[test]
 fn a_start_removes_all_files_only_if_no_member_is_alive() {
     let place = Place::new();
     let mut source = place.joined("source");
