@@ -30,7 +30,7 @@ import onnx  # noqa: E402
 import onnxruntime  # noqa: E402
 import torch  # noqa: E402
 
-from model_fixtures import gelu  # noqa: E402
+from model_fixtures import gelu, module  # noqa: E402
 
 LIMIT_W = 1e-5
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
@@ -61,17 +61,6 @@ def by_numpy(arrays, rows):
         values = values @ weight.T + arrays[f"layers.{number}.bias"]
         values = gelu(values) if number < 3 else values
     return values[:, 0] * arrays["power_std_w"] + arrays["power_mean_w"]
-
-
-def module(layers):
-    parts = []
-    for number, (weight, bias) in enumerate(layers):
-        linear = torch.nn.Linear(weight.shape[1], weight.shape[0])
-        with torch.no_grad():
-            linear.weight.copy_(torch.tensor(weight))
-            linear.bias.copy_(torch.tensor(bias))
-        parts += [linear] if number == 3 else [linear, torch.nn.GELU(), torch.nn.Dropout(0.1)]
-    return torch.nn.Sequential(*parts).eval()
 
 
 def by_torch(arrays, rows):

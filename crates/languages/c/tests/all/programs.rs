@@ -16,7 +16,6 @@ use tempfile::TempDir;
 
 const CONFIG: &str = "JOULEBUS_MEMBER_CONFIG";
 
-/// The worker's process.
 pub(crate) fn member() {
     let Some(path) = std::env::var_os(CONFIG) else {
         return;
