@@ -95,6 +95,10 @@ impl Found {
                 }
             }
         }
+        if read == 0 {
+            // A file of another program is refused.
+            crate::info::look(path)?;
+        }
         if others > 0 {
             let name = named();
             self.damage.push(format!("{name}: {others} messages cannot be read"));

@@ -217,7 +217,10 @@ pub fn of_model(path: &Path, contents: &[u8]) -> Option<String> {
     let shown = path.display();
     let stem = path.file_stem().map_or("model".into(), |stem| stem.to_string_lossy());
     let import = |file: &str| {
-        format!("`joulebus model import {file} --data RECORDINGS --out {stem}.safetensors`")
+        // Not the file that is read.
+        let made =
+            stem.strip_suffix(".plain").map_or_else(|| format!("{stem}-scored"), str::to_owned);
+        format!("`joulebus model import {file} --data RECORDINGS --out {made}.safetensors`")
     };
     let convert = |what: &str, source: &str, before: &str| {
         let plain = format!("{stem}.plain.safetensors");
@@ -307,8 +310,9 @@ mod tests {
         }
         let plain = file("{\"__metadata__\":{\"lag_order\":\"a\"},\"layers.0.weight\":{}}");
         let said = of("p.safetensors", &plain).expect("it is known");
-        let import = "a converted network. Import it: `joulebus model import p.safetensors --data";
-        assert!(said.starts_with(import), "{said}");
+        let import = "a converted network. Import it: `joulebus model import p.safetensors --data \
+                      RECORDINGS --out p-scored.safetensors`";
+        assert_eq!(said, import);
         let own = file("{\"__metadata__\":{\"format\":\"joulebus-model\"");
         for none in [&own[..], &own[..30], b"", b"hello", b"robot,power\n1,2\n"] {
             assert_eq!(of("x", none), None, "{none:x?}");

@@ -152,6 +152,13 @@ pub(super) fn verdict(scored: &Scored) -> String {
     let skills: Vec<String> = skills
         .map(|skill| {
             let found = skill.skill;
+            let value = Cell::Number(found.value, 3).shown();
+            if !(found.lo.is_finite() && found.hi.is_finite()) {
+                return format!(
+                    "of skill {value} against {}, with too few blocks for an interval",
+                    skill.against
+                );
+            }
             let word = if found.is_above(0.0) {
                 "better than"
             } else if found.is_below(0.0) {
@@ -159,8 +166,7 @@ pub(super) fn verdict(scored: &Scored) -> String {
             } else {
                 "statistically indistinguishable from"
             };
-            let [value, lo, hi] =
-                [found.value, found.lo, found.hi].map(|skill| Cell::Number(skill, 3).shown());
+            let [lo, hi] = [found.lo, found.hi].map(|skill| Cell::Number(skill, 3).shown());
             format!("{word} {} (skill {value}, 95 % interval {lo} to {hi})", skill.against)
         })
         .collect();

@@ -89,15 +89,24 @@ pub(super) fn lasts(battery: Option<Battery>, runs: &[Run]) -> String {
         }
         ends => format!("It is {} h {which} {of}.", spanned(ends)),
     };
-    let recorded_h = sums.time_s / 3600.0;
     format!(
         "A battery of {capacity} Wh lasts {} h{from}, at the mean power of {} W. {honest} It \
-         holds for work like that recorded, which is {} h, and for a battery that still has \
+         holds for work like that recorded, which is {}, and for a battery that still has \
          that capacity.",
         significant(hours).shown(),
         significant(sums.mean_w()).shown(),
-        significant(recorded_h).shown()
+        spoken(sums.time_s)
     )
+}
+
+/// A time with the unit that fits.
+fn spoken(time_s: f64) -> String {
+    let (time, unit) = match time_s {
+        _ if time_s < 120.0 => (time_s, "s"),
+        _ if time_s < 7_200.0 => (time_s / 60.0, "min"),
+        _ => (time_s / 3_600.0, "h"),
+    };
+    format!("{} {unit}", significant(time).shown())
 }
 
 /// The same as numbers. `None` without a capacity.

@@ -464,7 +464,7 @@ class Report(_Result):
 
 def report(
     recordings: Recordings | None = None,
-    model: Models = "builtin:gternal-sim",
+    model: Models | None = None,
     *,
     fit: Recordings = (),
     split: str | None = None,
@@ -484,7 +484,8 @@ def report(
 ) -> Report:
     """Reports what recordings say of energy, and the accuracy of models, as `joulebus report` does.
 
-    recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`. The first model is in every figure
+    recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`. The first model is in every figure.
+                Without one, the report is on what the recordings say by themselves
     published: the recordings are the paper's: its numbers are shown
     battery_wh: energy of the battery from full to empty, to report how long it lasts
     simulated: runs the paper's experiments on simulated robots instead, without recordings: `draws` times, with `samples`
@@ -526,6 +527,8 @@ def _inputs(recordings: Any) -> list[Any]:
 
 def _models(model: Any) -> list[Any]:
     single = isinstance(model, (str, os.PathLike, _native.Predictor, Training))
+    if model is None:
+        return []
     return [one.predictor if isinstance(one, Training) else one for one in ([model] if single else model)]
 
 
