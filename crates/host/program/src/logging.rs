@@ -139,7 +139,6 @@ impl<S: Subscriber> Layer<S> for Levels {
     }
 }
 
-/// An event's message.
 #[derive(Default)]
 struct Message(String);
 

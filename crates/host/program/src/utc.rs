@@ -37,7 +37,6 @@ impl Utc {
     }
 
     /// The date, as in `2026-11-22`.
-    #[must_use]
     pub fn date(&self) -> String {
         format!("{}-{:02}-{:02}", self.year, self.month, self.day)
     }

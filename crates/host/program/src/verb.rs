@@ -45,7 +45,6 @@ mod tests {
     use super::*;
     use crate::output::Format;
 
-    /// A verb's arguments.
     #[derive(Debug, clap::Args)]
     struct Arguments {
         #[arg(long, required = true)]
