@@ -2,9 +2,12 @@
 
 use joulebus_settings::Policy;
 
-/// Minimum distance of two ticks with frames under `OnFrame`, as a fraction of a period: a source
-/// whose clock is slightly fast is followed instead of being delayed by up to a period.
-const CLOSEST: (u64, u64) = (4, 5);
+/// Under `OnFrame` a tick with frames may come this part of a period before its place: frames that
+/// arrive unevenly wait less.
+const EARLY: u64 = 5;
+/// Its place is a period after the place of the last one, less this part of it: a source whose clock
+/// is slightly fast is followed instead of being delayed by up to a period.
+const FASTER: u64 = 128;
 
 /// The next action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -30,8 +33,8 @@ pub struct Schedule {
     period_ns: u64,
     /// Start of the last tick, or of the schedule.
     started_ns: u64,
-    /// Earliest next tick with frames under `OnFrame`: ticks without frames do not delay frames.
-    spaced_ns: u64,
+    /// Place of the next tick with frames under `OnFrame`: ticks without frames do not delay frames.
+    place_ns: u64,
     grid_ns: u64,
     /// Ticks skipped because the one before took too long.
     pub skipped: u64,
@@ -47,7 +50,7 @@ impl Schedule {
             policy,
             period_ns,
             started_ns: now_ns,
-            spaced_ns: now_ns,
+            place_ns: now_ns,
             grid_ns: now_ns + period_ns,
             skipped: 0,
             late: 0,
@@ -61,7 +64,7 @@ impl Schedule {
             (Policy::Timer, _) => self.grid_ns,
             (Policy::OnFrame { deadline_ns }, Some(taken_ns)) => {
                 let ready_ns = if complete { taken_ns } else { taken_ns + deadline_ns };
-                ready_ns.max(self.spaced_ns)
+                ready_ns.max(self.place_ns.saturating_sub(self.period_ns / EARLY))
             }
             // Without samples the tick continues: planners must see robots become stale, and that
             // the worker is alive.
@@ -81,7 +84,7 @@ impl Schedule {
         self.grid_ns += (1 + skipped) * self.period_ns;
         self.started_ns = start_ns;
         if frames {
-            self.spaced_ns = start_ns + self.period_ns * CLOSEST.0 / CLOSEST.1;
+            self.place_ns = self.place_ns.max(start_ns) + self.period_ns - self.period_ns / FASTER;
         }
         self.skipped += skipped;
         self.late += u64::from(late);
@@ -111,6 +114,29 @@ mod tests {
         assert_eq!(schedule.next(49, None, true), Next::Tick { due_ns: 49 });
         schedule.ticked(49, 49, 50, false);
         assert_eq!(schedule.next(51, Some(51), true), Next::Tick { due_ns: 51 });
+    }
+
+    /// Frames of sources that are out of phase: at all times there is one to tick for.
+    #[test]
+    fn on_frame_keeps_to_the_rate_over_time() {
+        const PERIOD_NS: u64 = 33_333_333;
+        let mut schedule = Schedule::new(Policy::OnFrame { deadline_ns: 5 }, PERIOD_NS, 0);
+        let (mut now_ns, mut ticks, mut closest_ns) = (0, 0, u64::MAX);
+        while now_ns < 100 * PERIOD_NS {
+            match schedule.next(now_ns, Some(now_ns), true) {
+                Next::Wait { until_ns } => {
+                    closest_ns =
+                        if ticks > 0 { closest_ns.min(until_ns - now_ns) } else { until_ns };
+                    now_ns = until_ns;
+                }
+                Next::Tick { .. } => {
+                    ticks += 1;
+                    schedule.ticked(now_ns, now_ns, now_ns, true);
+                }
+            }
+        }
+        assert!((100..=101).contains(&ticks), "{ticks}");
+        assert!(closest_ns >= PERIOD_NS * 4 / 5, "{closest_ns}");
     }
 
     #[test]
