@@ -266,7 +266,7 @@ impl Verifier {
             self.report.contradict(tick, Loss::Differing(channel));
         }
         if let Some(frame) = entry.message.frame::<Acknowledgements>() {
-            self.queries.take_acknowledged((&frame.header, frame.rows.len()), &mut self.report);
+            self.queries.take_acknowledged((&frame.header, &frame.rows), &mut self.report);
         }
         match entry.message.take::<Query>() {
             Ok(query) => self.queries.take(query, &entry.fleet, &mut self.report),

@@ -8,8 +8,8 @@ use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows, ack
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
-    AcknowledgementHeader, Acknowledgements, AnswerHeader, Budget, Channel as _, MAX_QUERY_STEPS,
-    PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a, query_flag,
+    Acknowledgement, AcknowledgementHeader, Acknowledgements, AnswerHeader, Budget, Channel as _,
+    MAX_QUERY_STEPS, PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a, query_flag,
 };
 
 use crate::compare::{self, FieldDifference};
@@ -132,7 +132,7 @@ impl Queries {
     /// Takes a frame of the alarms that are acknowledged: people make them, and no sample.
     pub(super) fn take_acknowledged(
         &mut self,
-        (header, rows): (&AcknowledgementHeader, usize),
+        (header, rows): (&AcknowledgementHeader, &[Acknowledgement]),
         report: &mut Verification,
     ) {
         self.refusals.note_acknowledged(rows);

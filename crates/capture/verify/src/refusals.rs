@@ -8,7 +8,9 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::hash::{BuildHasher as _, RandomState};
 
 use bytemuck::bytes_of;
-use joulebus_wire::{MAX_ACKNOWLEDGED, QueryKind, QueryRecord, QueryRefusal};
+use joulebus_wire::{
+    Acknowledgement, MAX_ACKNOWLEDGED, MAX_ACKNOWLEDGED_BY, QueryKind, QueryRecord, QueryRefusal,
+};
 
 use crate::loss::Loss;
 use crate::report::Verification;
@@ -36,8 +38,8 @@ pub(super) struct Refusals {
     gone: HashMap<u32, Vec<Waiting>>,
     /// Starts of the first tick and of the last ticks of each run of the worker, monotonic ns.
     starts: BTreeMap<u64, (u64, VecDeque<u64>)>,
-    /// Rows of the newest frame of acknowledged alarms.
-    acknowledged: usize,
+    /// The newest frame of acknowledged alarms had no room for another, or for one of its alarms.
+    acknowledged_full: bool,
     hasher: RandomState,
 }
 
@@ -98,9 +100,11 @@ impl Refusals {
         }
     }
 
-    /// Notes how many alarms are acknowledged.
-    pub(super) const fn note_acknowledged(&mut self, rows: usize) {
-        self.acknowledged = rows;
+    /// Notes what is acknowledged.
+    pub(super) fn note_acknowledged(&mut self, rows: &[Acknowledgement]) {
+        let mut of_one = rows.chunk_by(|a, b| (a.robot, a.alarm) == (b.robot, b.alarm));
+        let is_full = of_one.any(|persons| persons.len() >= MAX_ACKNOWLEDGED_BY);
+        self.acknowledged_full = is_full || rows.len() >= MAX_ACKNOWLEDGED;
     }
 
     /// Takes a record as evidence for refusals before it. `is_new`: its number follows those before
@@ -195,9 +199,7 @@ impl Refusals {
             }
             // No more alarms are kept.
             Some(Reason::Busy)
-                if is_acknowledgement
-                    && answer.tick == 0
-                    && self.acknowledged >= MAX_ACKNOWLEDGED =>
+                if is_acknowledgement && answer.tick == 0 && self.acknowledged_full =>
             {
                 refusal.settle(Loss::ByTime, report);
             }

@@ -1,20 +1,20 @@
 //! The command of `--on-alarm`.
 
+use std::collections::VecDeque;
 use std::os::unix::process::CommandExt as _;
 use std::process::{Child, Command, ExitStatus, Stdio};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use joulebus_consumer::Change;
 use joulebus_program::output::log_line;
 use rustix::process::{Pid, Signal, kill_process_group};
 
 use super::Line;
 
-/// Changes that wait for the command.
+/// Changes that wait for the command, and acknowledgements that do.
 const MAX_WAITING: usize = 256;
 /// Time that a command may take.
 const TIMEOUT: Duration = Duration::from_secs(10);
@@ -23,30 +23,78 @@ const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// Runs a command for each change, in a thread of its own, so that its caller never waits.
 pub(super) struct OnAlarm {
-    lines: Option<SyncSender<Line>>,
+    waiting: Arc<Waiting>,
     thread: Option<JoinHandle<u64>>,
-    ending: Arc<AtomicBool>,
     missed: u64,
+}
+
+/// What the command is to be run for. An acknowledgement waits until no other change does: whoever
+/// makes many of them keeps no raise from being told.
+#[derive(Default)]
+struct Waiting {
+    lines: Mutex<Lines>,
+    news: Condvar,
+}
+
+#[derive(Default)]
+struct Lines {
+    changes: VecDeque<Line>,
+    acknowledgements: VecDeque<Line>,
+    has_ended: bool,
+}
+
+impl Lines {
+    /// Adds a change. False if there is no room.
+    fn push(&mut self, line: &Line) -> bool {
+        let is_acknowledgement = line.0.change == Change::Acknowledged.name();
+        let lines = if is_acknowledgement { &mut self.acknowledgements } else { &mut self.changes };
+        let has_room = lines.len() < MAX_WAITING;
+        if has_room {
+            lines.push_back(line.clone());
+        }
+        has_room
+    }
+
+    fn pop(&mut self) -> Option<Line> {
+        self.changes.pop_front().or_else(|| self.acknowledgements.pop_front())
+    }
+}
+
+impl Waiting {
+    fn change<R>(&self, change: impl FnOnce(&mut Lines) -> R) -> R {
+        let changed = change(&mut self.lines.lock().unwrap_or_else(PoisonError::into_inner));
+        self.news.notify_one();
+        changed
+    }
+
+    /// The next change, and whether there will be no more. `None` after the last.
+    fn next(&self) -> Option<(Line, bool)> {
+        let mut lines = self.lines.lock().unwrap_or_else(PoisonError::into_inner);
+        loop {
+            let has_ended = lines.has_ended;
+            match lines.pop() {
+                Some(line) => return Some((line, has_ended)),
+                None if has_ended => return None,
+                None => lines = self.news.wait(lines).unwrap_or_else(PoisonError::into_inner),
+            }
+        }
+    }
 }
 
 impl OnAlarm {
     pub(super) fn start(command: String) -> anyhow::Result<Self> {
-        let (lines, waiting) = sync_channel(MAX_WAITING);
-        let ending = Arc::new(AtomicBool::new(false));
-        let ends = Arc::clone(&ending);
+        let waiting = Arc::new(Waiting::default());
+        let taken = Arc::clone(&waiting);
         let thread = std::thread::Builder::new()
             .name("joulebus-on-alarm".to_owned())
-            .spawn(move || run_all(&command, &waiting, &ends))
+            .spawn(move || run_all(&command, &taken))
             .context("cannot start a thread for --on-alarm")?;
-        Ok(Self { lines: Some(lines), thread: Some(thread), ending, missed: 0 })
+        Ok(Self { waiting, thread: Some(thread), missed: 0 })
     }
 
     /// Hands a change to the command, unless too many are waiting.
     pub(super) fn run(&mut self, line: &Line) {
-        let Some(lines) = &self.lines else { return };
-        if let Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) =
-            lines.try_send(line.clone())
-        {
+        if !self.waiting.change(|lines| lines.push(line)) {
             self.missed += 1;
             if self.missed.is_power_of_two() {
                 let missed = self.missed;
@@ -60,19 +108,18 @@ impl OnAlarm {
     /// Runs the command for waiting changes, for as long as one command may take. Returns how many
     /// changes it did not run for, or failed for.
     pub(super) fn finish(mut self) -> u64 {
-        self.ending.store(true, Ordering::Relaxed);
-        drop(self.lines.take());
+        self.waiting.change(|lines| lines.has_ended = true);
         let failed = self.thread.take().map_or(Ok(0), JoinHandle::join);
         self.missed + failed.unwrap_or(1)
     }
 }
 
-/// Runs the command for every change until the sender is dropped. Returns how many failed.
-fn run_all(command: &str, waiting: &Receiver<Line>, ending: &AtomicBool) -> u64 {
+/// Runs the command for every change until the end. Returns how many failed.
+fn run_all(command: &str, waiting: &Waiting) -> u64 {
     let mut failed = 0;
     let (mut last_failure, mut end_by) = (None, None);
-    for line in waiting {
-        if ending.load(Ordering::Relaxed) {
+    while let Some((line, has_ended)) = waiting.next() {
+        if has_ended {
             let by = *end_by.get_or_insert_with(|| Instant::now() + TIMEOUT);
             if Instant::now() > by {
                 failed += 1;
@@ -181,6 +228,20 @@ mod tests {
     }
 
     #[test]
+    fn acknowledgements_wait_until_no_other_change_does_and_take_no_room_of_theirs() {
+        let mut lines = Lines::default();
+        let of = |change| Line(AlarmRecord { change, ..line().0 });
+        for _ in 0..MAX_WAITING {
+            assert!(lines.push(&of("acknowledged")));
+        }
+        assert!(!lines.push(&of("acknowledged")));
+        assert!(lines.push(&of("raised")) && lines.push(&of("cleared")));
+        let next: Vec<_> = (0..3).filter_map(|_| lines.pop()).map(|line| line.0.change).collect();
+        assert_eq!(next, ["raised", "cleared", "acknowledged"]);
+        assert_eq!(lines.acknowledgements.len(), MAX_WAITING - 1);
+    }
+
+    #[test]
     fn a_command_that_does_not_end_is_killed_with_what_it_started() {
         let folder = tempfile::tempdir().unwrap();
         let pid = folder.path().join("pid");
@@ -206,7 +267,6 @@ mod tests {
             command.run(&line());
         }
         assert!((10..=11).contains(&command.missed), "{}", command.missed);
-        command.lines = None;
-        command.ending.store(true, Ordering::Relaxed);
+        command.waiting.change(|lines| lines.has_ended = true);
     }
 }

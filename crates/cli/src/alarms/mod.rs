@@ -45,7 +45,8 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     worker), JOULEBUS_ALARM, JOULEBUS_LEVEL (ok, \
     warn, error, stale), JOULEBUS_CHANGE (raised, acknowledged, cleared, left), JOULEBUS_STAMP_NS \
     (Unix time), JOULEBUS_LASTED_S (empty while raised), JOULEBUS_BY (who acknowledged it). At \
-    most 256 changes wait. The command is not run for further ones, and they are counted.\n\
+    most 256 changes wait, and 256 acknowledgements, which let the others pass. The command is not \
+    run for further ones, and they are counted.\n\
     Exit code 1: nothing of a file can be read, or an acknowledgement was not taken. Exit code 3: \
     ticks were missed, a file is damaged, or a command was not run or failed.")]
 pub(crate) struct Args {

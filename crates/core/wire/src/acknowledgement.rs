@@ -8,11 +8,13 @@ use crate::{Alarm, rows};
 
 /// Maximum number of alarms that are acknowledged at once.
 pub const MAX_ACKNOWLEDGED: usize = 128;
+/// Maximum number of persons who have acknowledged the same alarm, and are kept.
+pub const MAX_ACKNOWLEDGED_BY: usize = 4;
 /// Maximum length of a person's name, bytes.
 pub const MAX_NAME_BYTES: usize = 32;
 
 rows! {
-    /// A raised alarm that a person has acknowledged. 48 bytes.
+    /// A raised alarm that a person has acknowledged: a row for each person. 48 bytes.
     #[derive(Eq)]
     pub struct Acknowledgement: "joulebus.Acknowledgement.v1", 48 {
         /// Id of the robot.

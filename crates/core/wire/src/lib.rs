@@ -20,7 +20,8 @@ mod service;
 mod state;
 
 pub use acknowledgement::{
-    Acknowledgement, AcknowledgementHeader, MAX_ACKNOWLEDGED, MAX_NAME_BYTES, text,
+    Acknowledgement, AcknowledgementHeader, MAX_ACKNOWLEDGED, MAX_ACKNOWLEDGED_BY, MAX_NAME_BYTES,
+    text,
 };
 pub use alarm_card::AlarmCard;
 pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};

@@ -4,7 +4,7 @@ use joulebus_bus::{Bus, Limits, OpenError, Reader, SendError, Writer, clock, pro
 use joulebus_plan::Refused;
 use joulebus_wire::{
     Acknowledgement, AcknowledgementHeader, Acknowledgements, Diagnostic, Diagnostics,
-    MAX_ACKNOWLEDGED, QueryRefusal, SCHEMA_VERSION,
+    MAX_ACKNOWLEDGED, MAX_ACKNOWLEDGED_BY, QueryRefusal, SCHEMA_VERSION,
 };
 
 use crate::error::ServerError;
@@ -23,10 +23,11 @@ pub(crate) struct Table {
 }
 
 impl Table {
-    /// Enters an alarm, or replaces who acknowledged it.
+    /// Enters an alarm. What a person has acknowledged stays as it is: again by the same is no
+    /// change, and another person is entered after the first.
     ///
     /// # Errors
-    /// The alarm is not raised, or the table is full.
+    /// The alarm is not raised, or there is no room.
     fn enter(&mut self, row: Acknowledgement, is_raised: bool) -> Result<(), Refused> {
         let (robot, alarm) = (row.robot, row.alarm().name());
         if !is_raised {
@@ -35,17 +36,25 @@ impl Table {
             return Err(Refused::new(QueryRefusal::NotRaised, text));
         }
         let place = |row: &Acknowledgement| (row.robot, row.alarm);
-        match self.rows.binary_search_by_key(&place(&row), place) {
-            Ok(at) => self.rows[at] = row,
-            Err(at) if self.rows.len() < MAX_ACKNOWLEDGED => self.rows.insert(at, row),
-            Err(_) => {
-                let text = format!(
-                    "{MAX_ACKNOWLEDGED} alarms are acknowledged: no more are kept until some end"
-                );
-                return Err(Refused::new(QueryRefusal::Busy, text));
-            }
+        let first = self.rows.partition_point(|known| place(known) < place(&row));
+        let end = self.rows.partition_point(|known| place(known) <= place(&row));
+        let of_it = &self.rows[first..end];
+        if of_it.iter().any(|known| known.by == row.by) {
+            return Ok(());
         }
-        Ok(())
+        let full = if of_it.len() >= MAX_ACKNOWLEDGED_BY {
+            let by: Vec<_> = of_it.iter().map(Acknowledgement::by).collect();
+            format!(
+                "{alarm} of robot {robot} is acknowledged by {}: no more are kept",
+                by.join(", ")
+            )
+        } else if self.rows.len() >= MAX_ACKNOWLEDGED {
+            format!("{MAX_ACKNOWLEDGED} alarms are acknowledged: no more are kept until some end")
+        } else {
+            self.rows.insert(end, row);
+            return Ok(());
+        };
+        Err(Refused::new(QueryRefusal::Busy, full))
     }
 
     /// Drops the alarms that have ended as of these diagnostics, and those of robots that have
@@ -124,9 +133,9 @@ impl Acknowledged {
     /// Acknowledges an alarm, of which the newest diagnostics state whether it is raised. One that
     /// was entered before only has to be raised still.
     pub(crate) fn enter(&mut self, row: Acknowledgement, is_raised: bool) -> Result<(), Refused> {
-        let is_new = !self.table.rows.contains(&row);
+        let before = self.table.rows.len();
         self.table.enter(row, is_raised)?;
-        if is_new {
+        if self.table.rows.len() > before {
             self.due_ns = 0;
         }
         Ok(())
@@ -205,9 +214,14 @@ mod tests {
         for (id, alarm, by) in [(9, NoData, "ann"), (7, BiasHigh, "ann"), (7, StuckSensor, "bob")] {
             assert_eq!(enter(&mut table, row(id, alarm, by), true), Ok(()));
         }
-        // Another person takes it over.
-        assert_eq!(enter(&mut table, row(9, NoData, "eve"), true), Ok(()));
-        let all = [(7, StuckSensor, "bob"), (7, BiasHigh, "ann"), (9, NoData, "eve")];
+        // Another person does not replace the first, and the same one again changes nothing.
+        for by in ["eve", "ann", "eve"] {
+            let later = Acknowledgement { at_ns: 9, ..row(9, NoData, by) };
+            assert_eq!(enter(&mut table, later, true), Ok(()));
+        }
+        assert_eq!((table.rows[2].at_ns, table.rows[3].at_ns), (5, 9));
+        let nine_by = [(9, NoData, "ann"), (9, NoData, "eve")];
+        let all = [&[(7, StuckSensor, "bob"), (7, BiasHigh, "ann")][..], &nine_by].concat();
         assert_eq!(held(&table), all);
         let (seven, nine) = (robot(7, &[BiasHigh, StuckSensor]), robot(9, &[NoData]));
         // In the order of slots, among others.
@@ -215,9 +229,9 @@ mod tests {
         assert_eq!(held(&table), all);
         // One ends, one has another alarm instead. Then a robot leaves.
         assert!(table.follow(&[nine, robot(7, &[BiasHigh, NoData])]));
-        assert_eq!(held(&table), [(7, BiasHigh, "ann"), (9, NoData, "eve")]);
+        assert_eq!(held(&table), [&[(7, BiasHigh, "ann")][..], &nine_by].concat());
         assert!(table.follow(&[nine]));
-        assert_eq!(held(&table), [(9, NoData, "eve")]);
+        assert_eq!(held(&table), nine_by);
         assert!(table.follow(&[robot(9, &[])]));
         // It returns, and nobody has acknowledged that.
         assert!(!table.follow(&[nine]));
@@ -225,14 +239,21 @@ mod tests {
     }
 
     #[test]
-    fn the_table_is_bounded_and_what_is_in_it_can_be_taken_over() {
+    fn the_table_is_bounded_by_alarms_and_by_persons() {
+        let mut table = Table::default();
+        for (person, taken) in
+            ["ann", "bob", "eve", "zoe", "dan"].into_iter().zip([true, true, true, true, false])
+        {
+            let entered = table.enter(row(7, Alarm::NoData, person), true);
+            assert_eq!(entered.is_ok(), taken, "{person}");
+        }
         let mut table = Table::default();
         for id in 0..MAX_ACKNOWLEDGED as u32 {
             assert_eq!(table.enter(row(id, Alarm::NoData, "ann"), true), Ok(()));
         }
         let refused = table.enter(row(999, Alarm::NoData, "ann"), true);
         assert_eq!(refused.map_err(|refused| refused.reason), Err(QueryRefusal::Busy));
-        assert_eq!(table.enter(row(5, Alarm::NoData, "bob"), true), Ok(()));
+        assert_eq!(table.enter(row(5, Alarm::NoData, "ann"), true), Ok(()));
         let all: Vec<Diagnostic> = (0..2_000).map(|id| robot(id, &[Alarm::NoData])).collect();
         assert!(!table.follow(&all));
         assert!(table.follow(&all[..64]));
