@@ -38,14 +38,14 @@ enum Verb {
         after_help = "Example:\n  joulebus config check configs/fleet.toml configs/links/*.toml"
     )]
     Check {
-        /// Files, whose kinds their keys tell [default: configs/fleet.toml, or the built-in one]
+        /// Files, whose kinds their keys tell [default: the one that other verbs find]
         #[arg(value_name = "FILE")]
         files: Vec<PathBuf>,
     },
     /// Show the complete config with defaults, as a valid config
     #[command(after_help = "Example:\n  joulebus config show configs/mixed.toml > whole.toml")]
     Show {
-        /// The fleet's config [default: configs/fleet.toml, or the built-in one]
+        /// The fleet's config [default: the one that other verbs find]
         #[arg(value_name = "FILE")]
         file: Option<PathBuf>,
     },

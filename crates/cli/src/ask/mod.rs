@@ -62,7 +62,7 @@ const START_TIMEOUT: Duration = Duration::from_secs(2);
 )]
 pub(crate) struct Args {
     /// The fleet's config. Repeat it to ask about robots of several fleets [default:
-    /// configs/fleet.toml, or the built-in one if that file does not exist]
+    /// the one that other verbs find]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
     /// The robot

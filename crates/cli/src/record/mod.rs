@@ -55,7 +55,7 @@ const STDOUT: &str = "-";
     settings or models than those attached.")]
 pub(crate) struct Args {
     /// The fleet's config. Repeat it to record several fleets into one file [default:
-    /// configs/fleet.toml, or the built-in one if that file does not exist]
+    /// the one that other verbs find]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
     /// The file, or - for stdout. Further parts are run_1.mcap, run_2.mcap …, without names that

@@ -161,6 +161,16 @@ fn config_show_prints_an_equivalent_config() {
     // Without a file: the built-in one, from any directory.
     let shipped = joulebus(["config", "show"]).current_dir("/").output().unwrap().exits(0);
     Config::parse(&stdout(&shipped), std::path::Path::new("/")).unwrap();
+    // The variable names one for a whole shell, and an option another.
+    let shown = |arguments: &[&str], variable: &str| {
+        let mut command = joulebus(arguments.iter().copied());
+        json(&command.env("JOULEBUS_CONFIG", variable).current_dir("/").output().unwrap().exits(0))
+    };
+    let (show, json) = (["config", "show", "--format", "json"], "fleet");
+    assert_eq!(shown(&show, &config)[json], first.fleet());
+    assert_eq!(shown(&show, "")[json], "lab");
+    let named = ["config", "show", &config, "--format", "json"];
+    assert_eq!(shown(&named, "/nowhere.toml")[json], first.fleet());
 }
 
 #[test]

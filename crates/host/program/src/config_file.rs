@@ -1,5 +1,6 @@
 //! The config that a verb uses.
 
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use joulebus_config::{Config, ConfigError, Demo, Domain};
@@ -8,14 +9,18 @@ use crate::output::log_line;
 
 /// The default path of the config.
 const USUAL: &str = "configs/fleet.toml";
+/// Variable with the path of the config, for a shell or a service.
+const VARIABLE: &str = "JOULEBUS_CONFIG";
+/// Folder of the configs of an installed joulebus.
+const SYSTEM: &str = "/etc/joulebus";
 /// Number of robots of the built-in config, as in its file.
 const BUILTIN_ROBOTS: u32 = 100;
 
 /// Selects the config.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConfigFile {
-    /// The fleet's config, the same for every process of it [default: configs/fleet.toml, or the
-    /// built-in one if that file does not exist]
+    /// The fleet's config, the same for every process of it [default: JOULEBUS_CONFIG, else
+    /// configs/fleet.toml, the only fleet in /etc/joulebus, or the built-in one]
     #[arg(long, value_name = "FILE")]
     pub config: Option<PathBuf>,
 }
@@ -38,11 +43,8 @@ impl ConfigFile {
     /// # Errors
     /// The file cannot be read, or is refused.
     pub fn read(&self) -> Result<Config, ConfigError> {
-        if let Some(path) = &self.config {
+        if let Some(path) = self.find()? {
             return Config::load(path);
-        }
-        if Path::new(USUAL).exists() {
-            return Config::load(USUAL);
         }
         let shipped = Demo {
             fleet: "lab".to_owned(),
@@ -53,17 +55,76 @@ impl ConfigFile {
         Config::parse(&shipped.toml(), Path::new("."))
     }
 
-    /// True if it is the built-in one, because no file is named and the usual one does not exist.
+    /// True if it is the built-in one, because no file is named and none is in a usual place.
     pub fn is_builtin(&self) -> bool {
-        self.config.is_none() && !Path::new(USUAL).exists()
+        matches!(self.find(), Ok(None))
     }
 
     /// Name of the config in messages.
     pub fn name(&self) -> String {
-        match &self.config {
-            Some(path) => path.display().to_string(),
-            None if Path::new(USUAL).exists() => USUAL.to_owned(),
-            None => "the built-in config".to_owned(),
+        match self.find() {
+            Ok(Some(path)) => path.display().to_string(),
+            Ok(None) => "the built-in config".to_owned(),
+            Err(_) => SYSTEM.to_owned(),
         }
+    }
+
+    /// Its file. `None`: the built-in one.
+    fn find(&self) -> Result<Option<PathBuf>, ConfigError> {
+        let named = self.config.clone();
+        let named = named.or_else(|| std::env::var_os(VARIABLE).map(PathBuf::from));
+        match named.filter(|path| !path.as_os_str().is_empty()) {
+            Some(path) => Ok(Some(path)),
+            None if Path::new(USUAL).exists() => Ok(Some(PathBuf::from(USUAL))),
+            None => only_fleet(Path::new(SYSTEM)),
+        }
+    }
+}
+
+/// The only config of a fleet in a folder. `None` if it has none, or cannot be read.
+fn only_fleet(folder: &Path) -> Result<Option<PathBuf>, ConfigError> {
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return Ok(None);
+    };
+    let files = entries.flatten().map(|entry| entry.path());
+    let mut fleets: Vec<PathBuf> = files
+        .filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
+        .filter(|path| {
+            // One that cannot be read here is named in the error of whoever loads it.
+            let text = std::fs::read_to_string(path);
+            text.map_or_else(
+                |error| error.kind() == ErrorKind::PermissionDenied,
+                |text| text.lines().any(|line| line.trim() == "[fleet]"),
+            )
+        })
+        .collect();
+    fleets.sort();
+    if fleets.len() < 2 {
+        return Ok(fleets.pop());
+    }
+    let names: Vec<_> = fleets.iter().map(|path| path.display().to_string()).collect();
+    let several = format!("it has several fleets: {}", names.join(", "));
+    Err(ConfigError::Read { path: folder.to_owned(), source: io::Error::other(several) })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_only_fleet_of_a_folder_is_found_and_several_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = folder.path();
+        assert_eq!(only_fleet(&folder.join("absent")).unwrap(), None);
+        let write = |name: &str, text| std::fs::write(folder.join(name), text).unwrap();
+        write("lab-bridge.toml", "[bridge]\nkind = \"mqtt\"\n");
+        write("notes.txt", "[fleet]\n");
+        assert_eq!(only_fleet(folder).unwrap(), None);
+        write("lab.toml", "# ours\n[fleet]\nname = \"lab\"\n");
+        assert_eq!(only_fleet(folder).unwrap(), Some(folder.join("lab.toml")));
+        write("yard.toml", "[fleet]\nname = \"yard\"\n");
+        let error = only_fleet(folder).unwrap_err().to_string();
+        assert!(error.contains("lab.toml") && error.contains("yard.toml"), "{error}");
+        assert!(error.contains("--config"), "{error}");
     }
 }
