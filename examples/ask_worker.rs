@@ -47,7 +47,7 @@ fn main() -> anyhow::Result<()> {
         Plan::Idle { robots: vec![2], duration_s: 60.0 },
     ];
     for plan in plans {
-        let question = Question { plan, coverage: 0.9, power: false };
+        let question = Question { plan, ..Question::default() };
         match client.ask(&question, Duration::from_secs(10)) {
             Ok(answered) => {
                 for row in answered.reply.rows {

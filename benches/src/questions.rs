@@ -149,6 +149,7 @@ fn question(robot: u32) -> Question {
         },
         coverage: 0.9,
         power: false,
+        moments: 0,
     }
 }
 

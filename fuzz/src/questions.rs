@@ -82,14 +82,18 @@ fn question(choice: u8) -> Question {
             omega_radps: (1..13).map(wave).collect(),
         },
         1 => Plan::Idle { robots: ROBOTS[..3].to_vec(), duration_s: 20.0 },
-        2 => Plan::Follow { robots: vec![101], path: path(Some(0.5)), back_to: None },
+        2 => {
+            let (dwell_s, load_w) = (vec![0.0, 2.0, 0.5], vec![0.0, -0.1, 0.2]);
+            let path = Path { dwell_s, load_w, tolerance_m: Some(0.02), ..path(Some(0.5)) };
+            Plan::Follow { robots: vec![101], path, back_to: None }
+        }
         _ => Plan::Follow {
             robots: ROBOTS[..3].to_vec(),
-            path: path(None),
+            path: Path { time_s: vec![5.0, 9.0, 9.0], ..path(None) },
             back_to: Some(Point::new(0.1, -0.0)),
         },
     };
-    Question { plan, coverage: 0.9, power: choice % 4 != 1 }
+    Question { plan, coverage: 0.9, power: choice % 4 != 1, moments: usize::from(choice % 4) }
 }
 
 fn set_header(header: &mut QueryHeader, field: u8, value: u64) {
@@ -101,14 +105,14 @@ fn set_header(header: &mut QueryHeader, field: u8, value: u64) {
         2 => header.kind = 1 + small % 3,
         3 => header.fleet = value,
         4 => header.flags = small,
-        5 => header.flags ^= small % 8,
+        5 => header.flags ^= small % 256,
         6 => header.robots = small,
         7 => header.candidates = small,
         8 => header.steps = small,
         9 => header.coverage = single,
         10 => header.period_s = single,
         11 => header.duration_s = single,
-        12 => header.reserved = small,
+        12 => header.tolerance_m = single,
         13 => (header.return_x_m, header.return_y_m) = (double, -double),
         _ => header.heading_rad = double,
     }
@@ -156,13 +160,14 @@ fn answer(question: Question) -> bool {
         Some(RobotRows::recorded(&rows.answer, *state, budget.copied()))
     };
     let (mut header, mut words) = (rows.answer, Vec::new());
+    let moments = question.moments;
     let replied = question.answer(&rows.plans, find, MAX_STEPS);
     match &replied {
         Ok(reply) => reply.encode(&mut header, &mut words),
         Err(error) => Refused::from(error).encode(&mut header, &mut words),
     }
     assert!(words.len() <= MAX_ANSWER_WORDS, "{} words", words.len());
-    let found = Reply::decode(&header, &words);
+    let found = Reply::decode(&header, &words, moments);
     assert_eq!(found.is_ok(), replied.is_ok());
     let mut again = (rows.answer, Vec::new());
     match &found {
@@ -189,7 +194,7 @@ fn answered(input: &mut Input<'_>) -> bool {
     let (rows, powers, text) = answer_parts(&header, &words);
     let held = size_of_val(rows) + size_of_val(powers) + text.len();
     assert!(held <= size_of_val(words.as_slice()), "{held} bytes");
-    let is_read = Reply::decode(&header, &words).is_ok();
+    let is_read = Reply::decode(&header, &words, 0).is_ok();
     for record in records(&words) {
         let query = Query::of_record(record);
         let counts = (query.values.len(), query.rows.len(), query.power_w.len());

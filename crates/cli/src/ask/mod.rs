@@ -11,7 +11,7 @@ use clap::ArgGroup;
 use joulebus_bus::NoWorker;
 use joulebus_config::Config;
 use joulebus_plan::report::{AnswerReport, AnswersReport};
-use joulebus_plan::{MAX_STEPS, Plan, Question, QuestionError, Reply};
+use joulebus_plan::{MAX_STEPS, Path, Plan, Question, QuestionError, Reply};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError, ViewError};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -24,6 +24,9 @@ use point::{PointArgument, ReturnTo};
 const WORKER_TIMEOUT: Duration = Duration::from_secs(3);
 /// The same where there is none when it is asked: one may be starting.
 const START_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// Moments along a trip.
+const MOMENTS: usize = 48;
 
 /// Ask what energy a plan of a robot costs, whether its battery suffices, and which robot needs
 /// least
@@ -39,10 +42,13 @@ const START_TIMEOUT: Duration = Duration::from_secs(2);
     joulebus ask --rank 7,50009 --idle 60 --config north.toml --config south.toml   of two fleets\n  \
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
     joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
-    A path file is CSV with the columns x_m and y_m. A third column, speed_mps, can state the \
-    speed towards each point. The robot is at the first point and faces the second. Speeds above \
-    the platform's greatest are refused:\n\n    \
-    x_m,y_m,speed_mps\n    0,0,\n    2,0,0.2\n    2,1.5,0.1\n\n\
+    A path file is CSV with the columns x_m and y_m. The robot is at the first point and faces the \
+    first that is elsewhere. More columns may follow, and cells of all but time_s may be empty. \
+    speed_mps: towards the point, at most the platform's. dwell_s: wait there. load_w: power that \
+    the robot draws in addition towards the point and while it waits there. time_s: when it is \
+    there. With times, speeds are upper limits, and a repeated point is a wait. The answer says if \
+    the robot is more than a second late:\n\n    \
+    x_m,y_m,speed_mps,dwell_s,load_w\n    0,0,,,\n    2,0,0.2,30,\n    2,1.5,0.1,,1.5\n\n\
     Only the shape of the path counts, not how many points describe it.\n\n\
     Verdict yes: on every leg, the upper end of the energy fits into the lower bound of what the \
     battery can spare above its reserve. tight: only the expected energy fits, or the robot's own \
@@ -50,7 +56,10 @@ const START_TIMEOUT: Duration = Duration::from_secs(2);
     StuckSensor: it is named). no: the expected energy does not fit. unknown: the answer has the \
     reason. What the model does not know of the plan itself widens the energy to the platform's \
     limits of power, which still can be a yes. Then the probability is unknown. A time to turn \
-    back is stated if the answer is not a yes. This process computes the answer, from the worker's plan states in shared \
+    back is stated if the answer is not a yes. With --return the energy of docking counts too \
+    (docking_wh of [battery]). The line charge has the state of charge along the trip, with its \
+    interval. JSON has 48 moments of it.\n\n\
+    This process computes the answer, from the worker's plan states in shared \
     memory and from the models of the config. These must be the worker's models. So there is no \
     queue and no load on the worker, and a path may have any length. Robots that are not in the \
     fleet are named, and the others are answered. --through worker asks the worker, as programs in \
@@ -93,6 +102,10 @@ pub(crate) struct Args {
     /// on]
     #[arg(long, value_name = "M/S", conflicts_with = "idle", value_parser = speed)]
     speed: Option<f64>,
+    /// Cut corners within this distance of the path, m, up to 1. 0: none [default: half a cell, on the
+    /// stairs of a grid of cells up to 0.25 m]
+    #[arg(long, value_name = "M", conflicts_with = "idle")]
+    tolerance: Option<f32>,
     /// Coverage of the intervals, 0.5 to 0.999
     #[arg(long, value_name = "SHARE", default_value_t = 0.9)]
     coverage: f32,
@@ -119,8 +132,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         return Err(UsageError(wrong.to_owned()).into());
     }
     let configs = configs::load(&args.config)?;
-    let path = args.path.as_deref().map(path_file::read).transpose()?;
-    let (questions, missing) = divide(&configs, args.question(path.as_ref()))?;
+    let read = |file| path_file::read(file, args.speed);
+    let mut path = args.path.as_deref().map(read).transpose()?;
+    if let Some(path) = &mut path {
+        path.tolerance_m = args.tolerance;
+    }
+    let simplified = path.as_ref().and_then(Path::simplified);
+    let (questions, missing) = divide(&configs, args.question(path))?;
     for (config, question) in &questions {
         refuse_too_fast(config, &question.plan)?;
     }
@@ -131,7 +149,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             Through::Worker => args.send(config, &question)?,
         });
     }
-    output.report(&args.report(asked, missing))?;
+    let report = AnswersReport { path: simplified, ..args.report(asked, missing) };
+    output.report(&report)?;
     Ok(Outcome::Done)
 }
 
@@ -201,11 +220,10 @@ fn has(config: &Config, robot: u32) -> bool {
 }
 
 impl Args {
-    fn question(&self, rows: Option<&path_file::Rows>) -> Question {
+    fn question(&self, path: Option<Path>) -> Question {
         let robots = self.robot.iter().chain(&self.rank).copied().collect();
-        let plan = match rows {
-            Some(rows) => {
-                let path = rows.path(self.speed);
+        let plan = match path {
+            Some(path) => {
                 let begin = path.points[0];
                 let back_to = self.return_to.map(|to| match to {
                     ReturnTo::Dock => self.dock.map_or(begin, |dock| dock.0),
@@ -215,7 +233,8 @@ impl Args {
             }
             None => Plan::Idle { robots, duration_s: self.idle.unwrap_or_default() },
         };
-        Question { plan, coverage: self.coverage, power: self.power }
+        let moments = if self.rank.is_empty() { MOMENTS } else { 0 };
+        Question { plan, coverage: self.coverage, power: self.power, moments }
     }
 
     /// Answers here, from shared memory.
@@ -310,6 +329,7 @@ impl Args {
             all
         });
         let mut answers = Vec::new();
+        let along = reply.as_ref().map_or(&[][..], |reply| &reply.along);
         for row in reply.iter().flat_map(Reply::ranked) {
             // Of a single fleet any robot that answers is its own.
             let own = configs.iter().find(|config| has(config, row.robot));
@@ -317,6 +337,7 @@ impl Args {
             let mut answer = AnswerReport::new(config.settings(), row);
             answer.fleet = (self.config.len() > 1).then(|| config.fleet().to_owned());
             answer.asked_to_return = self.return_to.is_some();
+            answer.set_along(config.settings(), along);
             if self.power {
                 answer.power_w = reply.as_ref().map(|reply| reply.power_w.clone());
             }
@@ -327,6 +348,7 @@ impl Args {
             tick,
             age_s: age_ns as f64 * 1e-9,
             coverage: self.coverage,
+            path: None,
             answers,
             missing,
         }

@@ -176,6 +176,67 @@ fn an_hour_at_rest_has_a_probability_that_is_extrapolated_and_a_bound_of_what_is
 }
 
 #[test]
+fn a_trip_has_waits_loads_docking_and_times_and_its_charge_is_stated_along_it() {
+    let fleet = fleet();
+    let text = fs::read_to_string(fleet.config()).unwrap();
+    let docking = "capacity_wh = 5.0\ndocking_wh = 0.02";
+    fs::write(fleet.config(), text.replace("capacity_wh = 5.0", docking)).unwrap();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 1"));
+    let trip = "x_m,y_m,speed_mps,dwell_s,load_w\n0,0,,,\n2,0,0.15,30,3\n2,1,0.15,,\n";
+    let mut stairs = "x_m,y_m\n0,0\n".to_owned();
+    for cell in 0..60 {
+        let [now, next] = [cell, cell + 1].map(|cells| 0.05 * f64::from(cells));
+        stairs += &format!("{next},{now}\n{next},{next}\n");
+    }
+    let paths = [
+        ("plain.csv", "x_m,y_m,speed_mps\n0,0,\n2,0,0.15\n2,1,0.15\n".to_owned()),
+        ("trip.csv", trip.to_owned()),
+        ("late.csv", "x_m,y_m,time_s\n0,0,7\n2,0,8\n2,1,47\n".to_owned()),
+        ("stairs.csv", stairs),
+    ];
+    let [plain, trip, late, stairs] = paths.map(|(name, text)| {
+        fs::write(fleet.path(name), text).unwrap();
+        format!("--robot 0 --path {}", fleet.path(name).display())
+    });
+    let mean_j = |asked: &Value| asked["answers"][0]["energy"]["mean_j"].as_f64().unwrap();
+    for through in ["", " --through worker"] {
+        let asked = |question: &str| ask(&fleet, &format!("{question}{through}"));
+        let [there, back] = ["", " --return dock"].map(|end| asked(&format!("{trip}{end}")));
+        // Half a minute at rest, 3 W for it and for two metres.
+        let more_j = mean_j(&there) - mean_j(&asked(&plain));
+        assert!(more_j > 3.0 * 43.0 + 20.0, "{more_j} J: {there}");
+        assert!(mean_j(&back) > mean_j(&there) + 72.0, "docking: {back}");
+        let along = back["answers"][0]["along"].as_array().unwrap();
+        let of = |name: &str| -> Vec<f64> {
+            along.iter().map(|moment| moment[name].as_f64().unwrap()).collect()
+        };
+        assert_eq!(along.len(), 48);
+        assert!(of("time_s").is_sorted(), "{back}");
+        assert_eq!(along[47]["energy"], back["answers"][0]["energy"]);
+        for moment in along {
+            let charge: Vec<f64> = serde_json::from_value(moment["charge"].clone()).unwrap();
+            let [mean, lo, hi] = charge[..] else { panic!("{moment}") };
+            assert!(0.0 < lo && lo <= mean && mean <= hi && hi <= 1.0, "{moment}");
+        }
+        let late_s = asked(&late)["answers"][0]["caveats"]["late_s"].as_u64().unwrap();
+        assert!((5..15).contains(&late_s), "{late_s} s");
+        let cut = asked(&stairs);
+        assert_eq!(cut["path"]["points"], 121, "{cut}");
+        assert!(cut["path"]["lines"].as_u64().unwrap() < 5, "{cut}");
+        let driven = asked(&format!("{stairs} --tolerance 0"));
+        assert!(driven["path"].is_null() && mean_j(&driven) > 1.2 * mean_j(&cut), "{driven}");
+    }
+    let text = stdout(&fleet.output(&format!("ask {trip} --return dock")));
+    assert!(text.contains("\n  charge  ") && text.contains(" % ("), "{text}");
+    assert!(stdout(&fleet.output(&format!("ask {late}"))).contains("times cannot be kept"));
+    let text = stdout(&fleet.output(&format!("ask {stairs}")));
+    assert!(text.starts_with("path of 121 points: driven as "), "{text}");
+    source.end(Signal::INT);
+    assert_eq!(code(&worker.end(Signal::INT)), 0);
+}
+
+#[test]
 fn a_speed_above_the_platforms_is_refused_with_its_greatest() {
     let fleet = fleet();
     let path = fleet.path("fast.csv").display().to_string();

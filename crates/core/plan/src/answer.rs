@@ -71,6 +71,7 @@ impl Answer {
             beyond_horizon: false,
             no_reading: false,
             state_outside_training: false,
+            late_s: 0,
             alarms: Doubts(0),
         },
     };
@@ -151,6 +152,9 @@ pub struct Caveats {
     pub no_reading: bool,
     /// The robot's newest row lay outside the range that its model was trained on.
     pub state_outside_training: bool,
+    /// The longest delay at a point of a path with times, s, rounded up: the platform is not as fast as
+    /// they state. The energy is of the delayed drive. 0 if no point is reached more than a second late.
+    pub late_s: u16,
     /// Raised alarms that cast doubt on the robot's readings.
     pub alarms: Doubts,
 }
@@ -241,6 +245,7 @@ impl Caveats {
             || self.beyond_horizon
             || self.no_reading
             || self.state_outside_training
+            || self.late_s > 0
             || !self.alarms.is_empty()
     }
 }
@@ -305,6 +310,12 @@ impl fmt::Display for Caveats {
         }
         if self.state_outside_training {
             parts.push("the robot is outside the model's training data".to_owned());
+        }
+        if self.late_s > 0 {
+            parts.push(format!(
+                "the path's times cannot be kept: the robot is up to {} s late",
+                self.late_s
+            ));
         }
         if !self.alarms.is_empty() {
             let names: Vec<&str> = self.alarms.names().collect();

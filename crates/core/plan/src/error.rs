@@ -67,6 +67,14 @@ pub enum AskError {
         /// The limit.
         allowed: f32,
     },
+    /// Too many moments.
+    #[error("{found} moments along the plan: allowed are {allowed}")]
+    Moments {
+        /// Number of moments.
+        found: usize,
+        /// The greatest number.
+        allowed: usize,
+    },
     /// The coverage.
     #[error("a coverage of {found}: allowed are 0.5 to 0.999")]
     Coverage {
@@ -153,6 +161,54 @@ pub enum PathError {
         found: f64,
         /// The limit.
         allowed: f64,
+    },
+    /// A column that has neither no value nor one for each point.
+    #[error("{column} has {found} values: allowed are none or {allowed}, one for each point")]
+    Column {
+        /// The column.
+        column: &'static str,
+        /// Number of its values.
+        found: usize,
+        /// Number of points.
+        allowed: usize,
+    },
+    /// A value that is not a number, or out of bounds.
+    #[error("{column} of point {point} is {found:?}: allowed are {} to {}", allowed.0, allowed.1)]
+    Value {
+        /// The column.
+        column: &'static str,
+        /// The point, from 0.
+        point: usize,
+        /// The value.
+        found: f64,
+        /// The least and the greatest.
+        allowed: (f64, f64),
+    },
+    /// A time before that of the point before.
+    #[error("point {point} has the time {found} s, the point before {before} s: times never fall")]
+    Falls {
+        /// The point, from 0.
+        point: usize,
+        /// Its time, s.
+        found: f64,
+        /// The time of the point before, s.
+        before: f64,
+    },
+    /// Both times and waits.
+    #[error(
+        "a path has either time_s or dwell_s: with times, repeat a point with the time at which the \
+         robot leaves it"
+    )]
+    DwellWithTimes,
+    /// A tolerance that is not allowed.
+    #[error(
+        "a tolerance of {found} m: allowed are 0 to {allowed} m, half a cell of the planner's grid"
+    )]
+    Tolerance {
+        /// The tolerance, m.
+        found: f32,
+        /// The greatest, m.
+        allowed: f32,
     },
     /// A speed that is not above 0.
     #[error("a speed of {found} m/s towards point {point}: it must be above 0")]

@@ -3,34 +3,31 @@
 use joulebus_energy::{CommandSum, Commands, EnergyForecast, EnergyModel, EnergyState};
 
 use crate::answer::{Caveats, Range};
-use crate::candidates::part;
 
-/// A plan as far as it has been followed: its energy so far follows without reading its commands
-/// again.
+/// A plan as far as it has been followed, or a part of one: its energy follows without reading its
+/// commands again.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Progress {
-    sum: CommandSum,
+    pub(crate) sum: CommandSum,
+    /// Energy that loads and docking add, J.
+    pub(crate) added_j: f64,
 }
 
 impl Progress {
-    /// The progress before the first command. Each command is in force for `period_s`.
-    pub(crate) fn new(state: &EnergyState, period_s: f32) -> Self {
-        Self { sum: CommandSum::new(state, period_s) }
+    pub(crate) const fn new(sum: CommandSum) -> Self {
+        Self { sum, added_j: 0.0 }
     }
 
-    /// Time that each command is in force, s.
-    pub(crate) const fn period_s(&self) -> f32 {
-        self.sum.period_s()
-    }
-
-    /// Follows the next commands.
-    pub(crate) fn add(&mut self, model: &EnergyModel, next: Commands<'_>) {
+    /// Follows the next commands, with a load, W.
+    pub(crate) fn add(&mut self, model: &EnergyModel, next: Commands<'_>, load_w: f32) {
         self.sum.add(model, next);
+        self.added_j += f64::from(load_w) * f64::from(next.duration_s());
     }
 
-    /// Follows a way that is known already but for its first command, which has been followed.
-    pub(crate) fn join(&mut self, rest: &Rest) {
-        self.sum.join(&rest.0);
+    /// Follows a part that is summed already.
+    pub(crate) fn join(&mut self, part: &Self) {
+        self.sum.join(&part.sum);
+        self.added_j += part.added_j;
     }
 
     /// The energy so far. Steps outside the training data, and all of a model without known errors,
@@ -54,13 +51,16 @@ impl Progress {
         let up_w = (power_max_w - mean_w).max(0.0);
         let lo_j = whole.energy_j + offset_j(tail) - widened_s * down_w;
         let least_j = (power_min_w * whole.duration_s).min(whole.energy_j);
+        let hi_j = whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w;
+        let added_j = self.added_j as f32;
         Estimate {
             distribution: (widened == 0).then_some(whole),
-            mean_j: whole.energy_j,
+            added_j,
+            mean_j: whole.energy_j + added_j,
             // Both widen it downwards, together beyond the possible. Not `max`, which would hide a
             // NaN.
-            lo_j: if lo_j < least_j { least_j } else { lo_j },
-            hi_j: whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w,
+            lo_j: if lo_j < least_j { least_j } else { lo_j } + added_j,
+            hi_j: hi_j + added_j,
             caveats: Caveats {
                 steps_outside_training: widened,
                 beyond_horizon: is_known && !model.covers(whole.duration_s),
@@ -70,26 +70,13 @@ impl Progress {
     }
 }
 
-/// Sum of the command model over the commands of a path after its first one. It is the same for
-/// every robot of a platform.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Rest(CommandSum);
-
-impl Rest {
-    /// The sum over a path.
-    pub(crate) fn new(model: &EnergyModel, way: Commands<'_>) -> Self {
-        let first = (way.v_mps[0], way.omega_radps[0]);
-        let mut sum = CommandSum::after(first, way.period_s);
-        sum.add(model, part(way, 1, way.steps()));
-        Self(sum)
-    }
-}
-
 /// The energy of a plan.
 pub(crate) struct Estimate {
     /// Forecast with its errors. `None` if any step was widened: the platform's limits of power
     /// bound the energy there, and say nothing about probabilities.
     distribution: Option<EnergyForecast>,
+    /// Known energy beside the forecast, J.
+    added_j: f32,
     mean_j: f32,
     lo_j: f32,
     hi_j: f32,
@@ -109,6 +96,6 @@ impl Estimate {
     /// The probability that the plan draws less than an amount with a standard deviation, J.
     /// `None` where it is not known.
     pub(crate) fn probability_below(&self, usable_j: f32, sd_j: f32) -> Option<f32> {
-        self.distribution?.probability_below(usable_j, sd_j)
+        self.distribution?.probability_below(usable_j - self.added_j, sd_j)
     }
 }

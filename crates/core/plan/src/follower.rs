@@ -18,11 +18,17 @@
 //! direction or the speed changes is a vertex. Repeated points, and points on a straight line of one
 //! speed, are none. Before a sharp corner the robot sees the corner only: it slows down, and sees
 //! the next leg within 5 cm of the corner. In a curve it sees along the curve, and drives without a
-//! stop, at most as fast as it can turn there. It turns while it drives, and drives backwards if the
+//! stop, at most as fast as it can turn there. The stairs of a grid are straight lines
+//! ([`Path::simplified`]). It turns while it drives, and drives backwards if the
 //! point is behind it. The path ends within 5 cm of its last point.
 //!
-//! A leg ends when the robot is within 5 cm of its point, or has passed it. The gains are those of
-//! the Robotarium simulator's position controllers.
+//! A leg ends when the robot is within 5 cm of its point, or has passed it, and has waited there. The
+//! gains are those of the Robotarium simulator's position controllers.
+//!
+//! A path with times states where the robot is when. With x(t) that distance along the path at the
+//! end of the step, and x the robot's own, its speed is dx/dt + 0.8/s · (x(t) − x), from 0 to the
+//! platform's. It does not slow down before it arrives: the times say how fast it is. A robot that
+//! arrives early waits.
 
 use std::f64::consts::PI;
 
@@ -40,6 +46,8 @@ const GAIN: f64 = 0.8;
 const TURN_GAIN: f64 = 2.0;
 /// A leg may take this much longer than at its speed.
 const PATIENCE: f64 = 20.0;
+/// Delay at a point of a path with times that is not stated, s.
+const IN_TIME_S: f64 = 1.0;
 
 /// A robot's position and heading.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -63,8 +71,66 @@ pub struct Followed {
     /// Steps up to the end of each leg, by the path's own points. Legs may end with the same step,
     /// and with 0 steps at the first point.
     pub leg_ends: Vec<usize>,
+    /// Power that each leg adds, W. Empty if none does.
+    pub load_w: Vec<f32>,
     /// Pose before each step, and after the last.
     pub poses: Vec<Pose>,
+    /// The longest delay at a point of a path with times, s. 0 if it is at most a second.
+    pub late_s: f32,
+}
+
+/// Distances along a path at times, from the path's beginning, m and s. Both never fall.
+#[derive(Debug)]
+struct Timetable {
+    along_m: Vec<f64>,
+    time_s: Vec<f64>,
+    /// Distance along the path of each vertex.
+    vertices_m: Vec<f64>,
+    /// The interval in which the last time was.
+    at: usize,
+}
+
+impl Timetable {
+    /// `None` for a path without times.
+    fn new(path: &Path, shape: &Shape<'_>) -> Option<Self> {
+        let begin_s = path.time_s.first()?;
+        let (mut along_m, mut vertices_m) = (vec![0.0; path.points.len()], vec![0.0]);
+        let mut point = 0;
+        for vertex in 1..shape.count() {
+            let begin_m = vertices_m[vertex - 1];
+            let (_, edge_m) = shape.beside(shape.at(vertex), vertex);
+            while point < shape.index(vertex) {
+                let share = shape.beside(path.points[point], vertex).0;
+                let before_m = point.checked_sub(1).map_or(0.0, |before| along_m[before]);
+                along_m[point] = (begin_m + share * edge_m).max(before_m);
+                point += 1;
+            }
+            vertices_m.push(begin_m + edge_m);
+        }
+        let end_m = vertices_m[shape.count() - 1];
+        along_m[point..].fill(end_m);
+        let time_s = path.time_s.iter().map(|time_s| time_s - begin_s).collect();
+        Some(Self { along_m, time_s, vertices_m, at: 0 })
+    }
+
+    fn end_s(&self) -> f64 {
+        self.time_s.last().copied().unwrap_or(0.0)
+    }
+
+    /// The speed at a time at which a robot that is `along_m` from the beginning keeps its times,
+    /// m/s. Times that are asked for never fall.
+    fn speed_mps(&mut self, time_s: f64, along_m: f64) -> f64 {
+        while self.at + 2 < self.time_s.len() && self.time_s[self.at + 1] <= time_s {
+            self.at += 1;
+        }
+        let next = (self.at + 1).min(self.time_s.len() - 1);
+        let [begin, end] = [self.at, next].map(|point| (self.time_s[point], self.along_m[point]));
+        let planned_mps = if end.0 > begin.0 { (end.1 - begin.1) / (end.0 - begin.0) } else { 0.0 };
+        let is_over = time_s >= end.0;
+        let planned_m = if is_over { end.1 } else { begin.1 + planned_mps * (time_s - begin.0) };
+        let planned_mps = if is_over { 0.0 } else { planned_mps };
+        (planned_mps + GAIN * (planned_m - along_m)).max(0.0)
+    }
 }
 
 /// Drives a unicycle along paths, within a platform's limits and at its rate.
@@ -135,17 +201,27 @@ impl Follower {
     pub fn follow(&self, path: &Path) -> Result<Followed, PathError> {
         path.check()?;
         let shape = Shape::new(path);
+        let mut timetable = Timetable::new(path, &shape);
         let mut followed = Followed {
             period_s: self.period_s as f32,
             v_mps: Vec::new(),
             omega_radps: Vec::new(),
             leg_ends: Vec::with_capacity(path.legs()),
+            load_w: path.load_w.iter().skip(1).map(|load_w| *load_w as f32).collect(),
             poses: vec![start(path, &shape)],
+            late_s: 0.0,
         };
+        self.wait(&mut followed, 0, shape.dwell_s(0))?;
         // The vertex beyond which the robot has looked.
         let mut seen = 0;
         for vertex in 1..shape.count() {
-            seen = self.drive(&mut followed, path, (&shape, vertex), seen)?;
+            seen = self.drive(&mut followed, path, (&shape, vertex), timetable.as_mut(), seen)?;
+        }
+        let steps = followed.v_mps.len();
+        if let Some(timetable) = &timetable {
+            followed.late_s = self.late_s(&followed, timetable);
+            let early_s = timetable.end_s() - (steps + 1) as f64 * self.period_s;
+            self.wait(&mut followed, path.legs(), early_s)?;
         }
         // Points in the place of the last vertex.
         let steps = followed.v_mps.len();
@@ -159,20 +235,45 @@ impl Follower {
         Ok(followed)
     }
 
-    /// Drives until a vertex is reached, or passed on the way to one that is `seen` beyond it.
-    /// Returns the last vertex that the robot has seen.
+    /// Waits at a point.
+    fn wait(&self, to: &mut Followed, point: usize, time_s: f64) -> Result<(), PathError> {
+        let steps = (time_s / self.period_s).round().max(0.0) as usize;
+        let allowed = self.max_steps;
+        if steps > allowed.saturating_sub(to.v_mps.len()) {
+            return Err(PathError::TooLong { point, distance_m: 0.0, allowed });
+        }
+        let pose = to.poses[to.v_mps.len()];
+        (0..steps).for_each(|_| self.push(to, pose, (0.0, 0.0)));
+        Ok(())
+    }
+
+    /// The longest delay at a point, s.
+    fn late_s(&self, followed: &Followed, timetable: &Timetable) -> f32 {
+        let times = followed.leg_ends.iter().zip(&timetable.time_s[1..]);
+        let delays = times.map(|(end, time_s)| *end as f64 * self.period_s - time_s);
+        let late_s = delays.fold(0.0, f64::max);
+        if late_s > IN_TIME_S { late_s as f32 } else { 0.0 }
+    }
+
+    /// Drives until a vertex is reached, or passed on the way to one that is `seen` beyond it, and
+    /// waits there. Returns the last vertex that the robot has seen.
     fn drive(
         &self,
         to: &mut Followed,
         path: &Path,
         (shape, vertex): (&Shape<'_>, usize),
+        mut timetable: Option<&mut Timetable>,
         mut seen: usize,
     ) -> Result<usize, PathError> {
-        let (at, speed_mps) = (shape.at(vertex), self.speed_mps(shape.speed_mps(vertex)));
+        let (at, stated_mps) = (shape.at(vertex), shape.speed_mps(vertex));
+        // Times ask for a speed, even if the path states none.
+        let most_mps = if timetable.is_some() { f64::MAX } else { f64::INFINITY };
+        let asked_mps = self.speed_mps(stated_mps.min(most_mps));
         let begun = to.v_mps.len();
         let first_m = distance_m(to.poses[begun].at, at);
         let turn_s = PI / f64::from(self.omega_max_radps).min(TURN_GAIN);
-        let patience_s = PATIENCE * (first_m / speed_mps + turn_s + 10.0 / GAIN);
+        let planned_s = timetable.as_ref().map_or(0.0, |of| of.end_s());
+        let patience_s = PATIENCE * (first_m / asked_mps + turn_s + 10.0 / GAIN) + planned_s;
         let most = (patience_s / self.period_s) as usize;
         loop {
             let steps = to.v_mps.len();
@@ -181,17 +282,19 @@ impl Follower {
                 || (seen > vertex && shape.is_behind(pose.at, vertex));
             // Legs end in their order: those up to the vertex with it, at the latest.
             while let point = to.leg_ends.len() + 1
-                && (point < shape.index(vertex) || (is_reached && point == shape.index(vertex)))
+                && point < shape.index(vertex)
                 && (is_reached
                     || distance_m(pose.at, path.points[point]) <= REACH_M
                     || shape.is_abeam(pose.at, point, vertex))
             {
                 to.leg_ends.push(steps);
             }
+            let point = to.leg_ends.len() + 1;
             if is_reached {
+                self.wait(to, point, shape.dwell_s(vertex))?;
+                to.leg_ends.resize(shape.index(vertex), to.v_mps.len());
                 return Ok(seen);
             }
-            let point = to.leg_ends.len() + 1;
             let distance_m = distance_m(pose.at, path.points[point]);
             if steps >= self.max_steps {
                 return Err(PathError::TooLong { point, distance_m, allowed: self.max_steps });
@@ -199,14 +302,24 @@ impl Follower {
             if steps - begun >= most {
                 return Err(PathError::NotReached { point, distance_m, steps: steps - begun });
             }
-            let ahead = shape.ahead(pose.at, vertex, speed_mps / GAIN);
+            let ahead = shape.ahead(pose.at, vertex, asked_mps / GAIN);
             seen = ahead.vertex;
-            let speed_mps = if seen > vertex {
-                speed_mps.min(self.turning_mps(&pose, &ahead))
+            let limit_mps = if seen > vertex {
+                asked_mps.min(self.turning_mps(&pose, &ahead))
             } else {
-                speed_mps
+                asked_mps
             };
-            self.push(to, pose, self.command(&pose, ahead.goal, speed_mps));
+            let command = match timetable.as_deref_mut() {
+                None => self.command(&pose, ahead.goal, limit_mps),
+                Some(timetable) => {
+                    let (share, edge_m) = shape.beside(pose.at, vertex);
+                    let along_m = timetable.vertices_m[vertex - 1] + share * edge_m;
+                    let next_s = (steps + 1) as f64 * self.period_s;
+                    let planned_mps = timetable.speed_mps(next_s, along_m);
+                    self.steer(&pose, ahead.goal, planned_mps.min(limit_mps))
+                }
+            };
+            self.push(to, pose, command);
         }
     }
 
@@ -226,8 +339,13 @@ impl Follower {
     /// The command towards a point: m/s and rad/s, within the limits.
     #[must_use]
     pub fn command(&self, pose: &Pose, goal: Point, speed_mps: f64) -> (f32, f32) {
+        self.steer(pose, goal, self.speed_mps(speed_mps).min(GAIN * distance_m(pose.at, goal)))
+    }
+
+    /// The command with which a robot drives towards a point at a speed, m/s, but not past it.
+    fn steer(&self, pose: &Pose, goal: Point, along_mps: f64) -> (f32, f32) {
         let error_rad = error_rad(pose, goal);
-        let along_mps = self.speed_mps(speed_mps).min(GAIN * distance_m(pose.at, goal));
+        let along_mps = along_mps.min(distance_m(pose.at, goal) / self.period_s);
         let v_mps = (along_mps * libm::cos(error_rad)) as f32;
         let omega_radps = (TURN_GAIN * error_rad) as f32;
         (
@@ -255,8 +373,7 @@ impl Follower {
 
 /// The robot at a path's first point. It faces the next vertex unless the path states a heading.
 fn start(path: &Path, shape: &Shape<'_>) -> Pose {
-    let at = path.points[0];
-    let second = shape.at(1.min(shape.count() - 1));
+    let (at, second) = (path.points[0], shape.faced());
     let towards = libm::atan2(second.y_m - at.y_m, second.x_m - at.x_m);
     Pose { at, heading_rad: path.heading_rad.unwrap_or(towards) }
 }

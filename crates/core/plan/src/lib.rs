@@ -27,6 +27,7 @@ pub use path::{Path, Point};
 pub use platform::{Frames, Platform, RobotRows};
 pub use question::{Plan, Question, Reply, Row};
 pub use robot::Robot;
+pub use shape::Simplified;
 pub use trip::{Ranked, Trip, rank, rank_each};
 
 /// Acknowledgements of alarms, as they travel among questions: `planner` sends them, the worker's

@@ -11,6 +11,15 @@ pub(crate) const REACH_M: f64 = 0.05;
 /// Largest coordinate, m.
 const MAX_COORDINATE_M: f64 = 1e6;
 
+/// Longest time of a path, s, and greatest time of a clock: until the year 5138.
+const MAX_TIME_S: f64 = 1e11;
+
+/// Greatest load, W.
+const MAX_LOAD_W: f64 = 1e6;
+
+/// Greatest tolerance, m.
+const MAX_TOLERANCE_M: f32 = 1.0;
+
 /// A point in the plane.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Point {
@@ -29,7 +38,9 @@ impl Point {
 }
 
 /// A path: from the first point to the last, with a speed towards each.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+///
+/// The columns beside the points are empty, or have one value for each point.
+#[derive(Debug, Clone, PartialEq, Default, Serialize)]
 pub struct Path {
     /// The points. The robot is at the first.
     pub points: Vec<Point>,
@@ -38,6 +49,17 @@ pub struct Path {
     pub speed_mps: Vec<f64>,
     /// Heading at the first point, rad. `None`: towards the first point that is elsewhere.
     pub heading_rad: Option<f64>,
+    /// Time that the robot waits at each point, s, at least 0. Not with times.
+    pub dwell_s: Vec<f64>,
+    /// Power that the robot draws in addition, W, on the way to each point and while it waits there:
+    /// a payload's, or a tool's. Negative if it draws less.
+    pub load_w: Vec<f64>,
+    /// Time at which the robot is at each point, s, by any clock, never falling. It starts at the
+    /// first. A repeated point with a later time is a wait. Speeds are then upper limits.
+    pub time_s: Vec<f64>,
+    /// Distance from the path within which corners are cut, m. 0: none are. `None`: the stairs of a
+    /// grid within half a cell ([`Path::simplified`]).
+    pub tolerance_m: Option<f32>,
 }
 
 impl Path {
@@ -47,7 +69,7 @@ impl Path {
         Self {
             points: points.to_vec(),
             speed_mps: vec![speed_mps; points.len()],
-            heading_rad: None,
+            ..Self::default()
         }
     }
 
@@ -82,6 +104,32 @@ impl Path {
             }
             Err(PathError::Coordinate { column, point, found, allowed: MAX_COORDINATE_M })
         };
+        for (column, values, allowed) in [
+            ("dwell_s", &self.dwell_s, 0.0..=MAX_TIME_S),
+            ("load_w", &self.load_w, -MAX_LOAD_W..=MAX_LOAD_W),
+            ("time_s", &self.time_s, -MAX_TIME_S..=MAX_TIME_S),
+        ] {
+            if !(values.is_empty() || values.len() == self.points.len()) {
+                let (found, allowed) = (values.len(), self.points.len());
+                return Err(PathError::Column { column, found, allowed });
+            }
+            if let Some(point) = values.iter().position(|value| !allowed.contains(value)) {
+                let (found, allowed) = (values[point], (*allowed.start(), *allowed.end()));
+                return Err(PathError::Value { column, point, found, allowed });
+            }
+        }
+        if let Some(before) = self.time_s.windows(2).position(|pair| pair[1] < pair[0]) {
+            let (point, found) = (before + 1, self.time_s[before + 1]);
+            return Err(PathError::Falls { point, found, before: self.time_s[before] });
+        }
+        if !self.time_s.is_empty() && self.dwell_s.iter().any(|dwell_s| *dwell_s > 0.0) {
+            return Err(PathError::DwellWithTimes);
+        }
+        if let Some(found) =
+            self.tolerance_m.filter(|found| !(0.0..=MAX_TOLERANCE_M).contains(found))
+        {
+            return Err(PathError::Tolerance { found, allowed: MAX_TOLERANCE_M });
+        }
         for (place, point) in self.points.iter().enumerate() {
             coordinate("x_m", place, point.x_m)?;
             coordinate("y_m", place, point.y_m)?;

@@ -42,12 +42,25 @@ impl Question {
             }
             Plan::Idle { duration_s, .. } => {
                 header.kind = QueryKind::Idle.code();
+                header.candidates = count(self.moments);
                 header.duration_s = *duration_s;
             }
             Plan::Follow { path, back_to, .. } => {
                 let points = path.points.iter().zip(&path.speed_mps);
                 values.extend(points.flat_map(|(at, speed_mps)| [at.x_m, at.y_m, *speed_mps]));
+                let columns = [
+                    (&path.dwell_s, query_flag::DWELL),
+                    (&path.load_w, query_flag::LOAD),
+                    (&path.time_s, query_flag::TIMES),
+                ];
+                for (column, given) in columns {
+                    header.flags |= flag(!column.is_empty(), given);
+                    values.extend(column);
+                }
+                header.flags |= flag(path.tolerance_m.is_some(), query_flag::TOLERANCE);
+                header.tolerance_m = path.tolerance_m.unwrap_or(0.0);
                 header.kind = QueryKind::Follow.code();
+                header.candidates = count(self.moments);
                 header.steps = count(path.points.len());
                 header.flags |= flag(back_to.is_some(), query_flag::RETURN)
                     | flag(path.heading_rad.is_some(), query_flag::HEADING);
@@ -74,6 +87,10 @@ impl Question {
             plan: plan(header, robots, values)?,
             coverage: header.coverage,
             power: header.flags & query_flag::POWER != 0,
+            moments: match kind(header)? {
+                QueryKind::Idle | QueryKind::Follow => header.candidates as usize,
+                QueryKind::WhatIf | QueryKind::Acknowledge => 0,
+            },
         })
     }
 }
@@ -190,13 +207,25 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
         },
         QueryKind::Idle => Plan::Idle { robots, duration_s: header.duration_s },
         QueryKind::Follow => {
-            let points = values.chunks_exact(POINT_VALUES);
+            let (points, mut columns) =
+                values.split_at((POINT_VALUES * header.steps as usize).min(values.len()));
+            let mut column = |given| {
+                let length = if has(given) { header.steps as usize } else { 0 };
+                let (column, others) = columns.split_at(length.min(columns.len()));
+                columns = others;
+                column.to_vec()
+            };
+            let points = points.chunks_exact(POINT_VALUES);
             Plan::Follow {
                 robots,
                 path: Path {
                     points: points.clone().map(|at| Point::new(at[0], at[1])).collect(),
                     speed_mps: points.map(|at| at[2]).collect(),
                     heading_rad: has(query_flag::HEADING).then_some(header.heading_rad),
+                    dwell_s: column(query_flag::DWELL),
+                    load_w: column(query_flag::LOAD),
+                    time_s: column(query_flag::TIMES),
+                    tolerance_m: has(query_flag::TOLERANCE).then_some(header.tolerance_m),
                 },
                 back_to: has(query_flag::RETURN)
                     .then_some(Point::new(header.return_x_m, header.return_y_m)),
@@ -212,14 +241,13 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
 fn kind(header: &QueryHeader) -> Result<QueryKind, Refused> {
     let allowed = |kind: &QueryKind| match kind {
         QueryKind::Acknowledge => query_flag::NEW_NORMAL,
-        QueryKind::WhatIf | QueryKind::Idle | QueryKind::Follow => query_flag::ALL,
+        QueryKind::WhatIf | QueryKind::Idle => query_flag::ALL & !query_flag::OF_PATH,
+        QueryKind::Follow => query_flag::ALL,
     };
-    let known = QueryKind::decode(header.kind)
-        .filter(|kind| header.flags & !allowed(kind) == 0 && header.reserved == 0);
+    let known = QueryKind::decode(header.kind).filter(|kind| header.flags & !allowed(kind) == 0);
     known.ok_or_else(|| {
-        let (kind, flags, reserved) = (header.kind, header.flags, header.reserved);
-        let text =
-            format!("kind {kind}, flags {flags:#x}, reserved {reserved}: one of them is unknown");
+        let (kind, flags) = (header.kind, header.flags);
+        let text = format!("kind {kind}, flags {flags:#x}: one of them is unknown");
         Refused::new(QueryRefusal::Kind, text)
     })
 }
@@ -250,7 +278,11 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     let values = match kind {
         QueryKind::WhatIf => 2 * candidates * steps,
         QueryKind::Idle => 0,
-        QueryKind::Follow => POINT_VALUES * steps,
+        QueryKind::Follow => {
+            let columns = [query_flag::DWELL, query_flag::LOAD, query_flag::TIMES];
+            let given = columns.iter().filter(|given| header.flags & **given != 0).count();
+            (POINT_VALUES + given) * steps
+        }
         QueryKind::Acknowledge => 1 + steps,
     };
     let expected = robots + values;
@@ -287,10 +319,10 @@ fn count(found: usize) -> u32 {
 }
 
 impl Reply {
-    /// Appends the rows and powers to the words of an answer, and sets their counts. Powers that do
+    /// Appends the rows, those along the plan, and powers to the words of an answer, and sets their counts. Powers that do
     /// not fit are left out.
     pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
-        let rows: Vec<AnswerRow> = self.rows.iter().map(Row::encode).collect();
+        let rows: Vec<AnswerRow> = self.rows.iter().chain(&self.along).map(Row::encode).collect();
         header.rows = count(rows.len());
         words.extend_from_slice(bytemuck::cast_slice(&rows));
         if rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) > MAX_ANSWER_WORDS {
@@ -303,11 +335,11 @@ impl Reply {
         }
     }
 
-    /// Decodes an answer.
+    /// Decodes the answer to a question with this number of moments.
     ///
     /// # Errors
     /// [`Refused`]: the worker did not answer, or the answer is of a newer version.
-    pub fn decode(header: &AnswerHeader, words: &[u64]) -> Result<Self, Refused> {
+    pub fn decode(header: &AnswerHeader, words: &[u64], moments: usize) -> Result<Self, Refused> {
         if header.schema != SCHEMA_VERSION {
             let (found, allowed) = (header.schema, SCHEMA_VERSION);
             let text = format!("an answer of version {found}: this program reads {allowed}");
@@ -319,11 +351,13 @@ impl Reply {
             return Err(Refused::new(reason, text.to_owned()));
         }
         let rows = rows.iter().map(Row::decode).collect::<Option<Vec<Row>>>();
-        let rows = rows.ok_or_else(|| {
+        let mut rows = rows.ok_or_else(|| {
             let text = "an answer with a verdict of a newer version".to_owned();
             Refused::new(QueryRefusal::Schema, text)
         })?;
-        Ok(Self { rows, power_w: power_w.to_vec() })
+        let is_along = moments > 0 && rows.len() == 1 + moments;
+        let along = if is_along { rows.split_off(1) } else { Vec::new() };
+        Ok(Self { rows, along, power_w: power_w.to_vec() })
     }
 }
 
@@ -367,7 +401,8 @@ impl Row {
             limiting_leg,
             caveats,
         } = self.answer;
-        let (verdict, unknown, unknown_detail, age_ns) = verdict_codes(verdict);
+        let (verdict, unknown, detail, age_ns) = verdict_codes(verdict);
+        let unknown_detail = if has_detail(unknown) { detail } else { caveats.late_s };
         let flags = row_flag(energy.is_some(), answer_flag::ENERGY)
             | row_flag(left.is_some(), answer_flag::LEFT)
             | row_flag(probability.is_some(), answer_flag::PROBABILITY)
@@ -425,11 +460,17 @@ impl Row {
                     beyond_horizon: has(answer_flag::BEYOND_HORIZON),
                     no_reading: has(answer_flag::NO_READING),
                     state_outside_training: has(answer_flag::OUTSIDE_TRAINING),
+                    late_s: if has_detail(row.unknown) { 0 } else { row.unknown_detail },
                     alarms: Doubts::from_row(row.flags),
                 },
             },
         })
     }
+}
+
+/// True if the reason of an unknown verdict has a detail: invalid and warm-up.
+const fn has_detail(unknown: u16) -> bool {
+    matches!(unknown, 2 | 3)
 }
 
 /// Verdict, reason, detail and age.

@@ -1,13 +1,18 @@
 //! Questions as values: the same in the planner's process, in the worker, and in a recording.
 
+use joulebus_wire::MAX_QUERY_CANDIDATES;
+
 use crate::answer::{Answer, Verdict};
 use crate::candidates::Candidates;
-use crate::error::QuestionError;
+use crate::error::{AskError, QuestionError};
 use crate::fleet::Fleet;
 use crate::path::{Path, Point};
 use crate::platform::RobotRows;
 use crate::robot::{Robot, stale};
 use crate::route::{Route, Ways};
+
+/// Maximum number of moments of a question.
+const MAX_MOMENTS: usize = MAX_QUERY_CANDIDATES;
 
 /// A question about one robot or several.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +24,9 @@ pub struct Question {
     /// True if the power of every step is wanted: of candidates, or of one robot that follows a
     /// path.
     pub power: bool,
+    /// Number of evenly spaced moments of one robot's path or rest up to which its part is answered
+    /// too: how energy and charge go along the trip. At most 256.
+    pub moments: usize,
 }
 
 /// A plan for robots.
@@ -64,6 +72,7 @@ impl Default for Question {
             plan: Plan::Idle { robots: Vec::new(), duration_s: 0.0 },
             coverage: 0.9,
             power: false,
+            moments: 0,
         }
     }
 }
@@ -85,8 +94,10 @@ impl Plan {
 pub struct Reply {
     /// Rows of each candidate, or of each robot.
     pub rows: Vec<Row>,
-    /// Power of every step, W, candidate by candidate, if requested. NaN if the robot's state is
-    /// unknown.
+    /// Answers to the parts of the plan up to each moment, if requested. The last part is the whole.
+    pub along: Vec<Row>,
+    /// Power of every step, W, candidate by candidate, if requested, with loads. NaN if the robot's
+    /// state is unknown.
     pub power_w: Vec<f32>,
 }
 
@@ -233,7 +244,7 @@ impl Work {
     /// and there is no time to turn back.
     #[must_use]
     pub fn finish_at(mut self, sent_ns: u64) -> Reply {
-        for row in &mut self.reply.rows {
+        for row in self.reply.rows.iter_mut().chain(&mut self.reply.along) {
             let of = self.robots.iter().find(|rows| rows.state.robot == row.robot);
             let Some(reason) = of.and_then(|rows| stale(&rows.header, sent_ns)) else {
                 continue;
@@ -248,7 +259,11 @@ impl Work {
 
     /// True if the robot is answered, or a way was followed first.
     fn one(&mut self, robot: &Robot<'_>, platform: u16) -> Result<bool, QuestionError> {
-        let Question { plan, coverage, power } = &self.question;
+        let Question { plan, coverage, power, moments } = &self.question;
+        let moments = if self.robots.len() == 1 { *moments } else { 0 };
+        if moments > MAX_MOMENTS {
+            return Err(AskError::Moments { found: moments, allowed: MAX_MOMENTS }.into());
+        }
         let row = |answer, turn_back_s| Row { robot: robot.id(), answer, turn_back_s };
         match plan {
             Plan::WhatIf { candidates, period_s, v_mps, omega_radps, .. } => {
@@ -260,8 +275,9 @@ impl Work {
                 }
             }
             Plan::Idle { duration_s, .. } => {
-                let answer = robot.idle(*duration_s, *coverage)?;
+                let (answer, along) = robot.idle_along(*duration_s, *coverage, moments)?;
                 self.reply.rows.push(row(answer, None));
+                self.reply.along = along.into_iter().map(|answer| row(answer, None)).collect();
             }
             Plan::Follow { path, back_to, .. } => {
                 let known = self.routes.iter().position(|(of, _)| *of == platform);
@@ -277,11 +293,14 @@ impl Work {
                     return Ok(false);
                 };
                 self.reply.rows.push(row(answer, turn_back_s));
+                let along = robot.along(&route.legs(robot), *coverage, moments);
+                self.reply.along = along.into_iter().map(|answer| row(answer, None)).collect();
                 if *power && self.robots.len() == 1 {
                     let followed = route.whole();
                     let columns = (&followed.v_mps, &followed.omega_radps);
                     let plan = Candidates::new(1, followed.period_s, columns.0, columns.1)?;
                     self.reply.power_w = powers(robot, &plan)?;
+                    followed.add_loads(&mut self.reply.power_w);
                 }
             }
         }

@@ -2,11 +2,12 @@
 
 use std::fmt;
 
-use joulebus_settings::FleetSettings;
+use joulebus_settings::{FleetSettings, Platform};
 use serde::Serialize;
 
-use crate::answer::{Caveats, Left, Range, Verdict};
+use crate::answer::{Answer, Caveats, Left, Range, Verdict};
 use crate::question::Row;
+use crate::shape::Simplified;
 
 /// Answers about one question, as of one tick.
 #[derive(Debug, Clone, Serialize)]
@@ -19,6 +20,9 @@ pub struct AnswersReport {
     pub age_s: f64,
     /// Coverage of the intervals.
     pub coverage: f32,
+    /// How the path's corners were cut, if they were.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub path: Option<Simplified>,
     /// The best first.
     pub answers: Vec<AnswerReport>,
     /// Robots that were asked about and are not in the fleet, or not followed on this host.
@@ -54,9 +58,57 @@ pub struct AnswerReport {
     #[serde(skip)]
     pub asked_to_return: bool,
     caveats: Caveats,
+    /// Energy and charge at evenly spaced moments of the trip, the last at its end. Empty with several
+    /// robots.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    along: Vec<Moment>,
     /// Power of every step, W, if asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power_w: Option<Vec<f32>>,
+}
+
+/// A moment of a trip. The charge is unknown without a battery whose charge is known.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct Moment {
+    /// Time from the beginning, s.
+    pub time_s: f32,
+    /// Energy so far, with its interval.
+    pub energy: Option<Range>,
+    /// Energy left, reserve included.
+    pub left: Option<Left>,
+    /// State of charge: expected, its lower bound with the errors of plan and battery, and its upper
+    /// bound with those of the plan alone. 0 to 1.
+    pub charge: Option<[f32; 3]>,
+    /// Verdict on the trip so far.
+    pub verdict: &'static str,
+}
+
+impl Moment {
+    fn new(answer: &Answer, capacity_j: Option<f64>) -> Self {
+        let charge = answer.left.zip(answer.energy).zip(capacity_j);
+        Self {
+            time_s: answer.duration_s,
+            energy: answer.energy,
+            left: answer.left,
+            charge: charge.map(|((left, energy), capacity_j)| {
+                let most_j = left.mean_j + energy.mean_j - energy.lo_j;
+                let share = |energy_j: f32| (f64::from(energy_j) / capacity_j).min(1.0) as f32;
+                [share(left.mean_j), share(left.lo_j), share(most_j)]
+            }),
+            verdict: name(answer.verdict),
+        }
+    }
+}
+
+/// Name of a verdict without its reason.
+const fn name(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Yes => "yes",
+        Verdict::Tight => "tight",
+        Verdict::No => "no",
+        Verdict::Unknown(_) => "unknown",
+    }
 }
 
 impl AnswerReport {
@@ -64,22 +116,17 @@ impl AnswerReport {
     #[must_use]
     pub fn new(settings: &FleetSettings, row: &Row) -> Self {
         let answer = &row.answer;
-        let platforms = &settings.platforms;
-        let its = platforms
-            .iter()
-            .find(|platform| platform.robots.iter().any(|ids| ids.contains(&row.robot)));
-        let platform = its.map_or_else(String::new, |platform| platform.name.clone());
-        let (verdict, reason) = match answer.verdict {
-            Verdict::Yes => ("yes", None),
-            Verdict::Tight => ("tight", None),
-            Verdict::No => ("no", None),
-            Verdict::Unknown(reason) => ("unknown", Some(reason.to_string())),
+        let platform =
+            platform(settings, row.robot).map_or_else(String::new, |its| its.name.clone());
+        let reason = match answer.verdict {
+            Verdict::Unknown(reason) => Some(reason.to_string()),
+            _ => None,
         };
         Self {
             robot: row.robot,
             fleet: None,
             platform,
-            verdict,
+            verdict: name(answer.verdict),
             reason,
             duration_s: answer.duration_s,
             energy: answer.energy,
@@ -90,8 +137,31 @@ impl AnswerReport {
             turn_back_s: row.turn_back_s,
             asked_to_return: false,
             caveats: answer.caveats,
+            along: Vec::new(),
             power_w: None,
         }
+    }
+
+    /// Adds the robot's answers to the parts of its trip.
+    pub fn set_along(&mut self, settings: &FleetSettings, along: &[Row]) {
+        let battery = platform(settings, self.robot).and_then(|its| its.battery.as_ref());
+        let capacity_j = battery.map(|battery| battery.capacity_j);
+        let its = along.iter().filter(|row| row.robot == self.robot);
+        self.along = its.map(|row| Moment::new(&row.answer, capacity_j)).collect();
+    }
+
+    /// The charge at the quarters of the trip.
+    fn charge(&self) -> Option<String> {
+        let count = self.along.len();
+        let quarters =
+            (1..=4).filter_map(|quarter| self.along.get((count * quarter / 4).checked_sub(1)?));
+        let texts = quarters.map(|moment| {
+            let [mean, lo, hi] = moment.charge?.map(|share| 100.0 * share);
+            let after = Lasting(moment.time_s.into());
+            Some(format!("{mean:.1} % ({lo:.1} to {hi:.1}) after {after}"))
+        });
+        let texts: Vec<String> = texts.collect::<Option<_>>()?;
+        (!texts.is_empty()).then(|| format!("charge  {}", texts.join(", ")))
     }
 
     fn lines(&self, coverage: f32) -> Vec<String> {
@@ -113,6 +183,7 @@ impl AnswerReport {
                     .to_owned(),
             });
         }
+        lines.extend(self.charge());
         if let Some(leg) = self.limiting_leg {
             lines.push(format!("leg {leg} is the first that is not sure (from 0)"));
         }
@@ -132,6 +203,10 @@ impl AnswerReport {
         }
         lines
     }
+}
+
+fn platform(settings: &FleetSettings, robot: u32) -> Option<&Platform> {
+    settings.platforms.iter().find(|its| its.robots.iter().any(|ids| ids.contains(&robot)))
 }
 
 /// The line of the spare energy, which is a bound: of the battery the lower one, of the energy the
@@ -199,6 +274,13 @@ impl fmt::Display for Joules {
 
 impl fmt::Display for AnswersReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(Simplified { points, lines, within_m }) = self.path {
+            let within_cm = (1000.0 * within_m).round() / 10.0;
+            writeln!(
+                out,
+                "path of {points} points: driven as {lines} straight lines within {within_cm} cm\n"
+            )?;
+        }
         for (place, answer) in self.answers.iter().enumerate() {
             if place > 0 {
                 writeln!(out)?;

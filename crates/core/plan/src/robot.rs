@@ -1,8 +1,8 @@
 //! One robot's answers.
 
 use joulebus_energy::{
-    Ahead, Commands, EnergyLeft, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned, Made,
-    Metered, SHADOWS,
+    Ahead, CommandSum, Commands, EnergyLeft, EnergyModel, EnergyState, ErrorBounds, LEVELS,
+    Learned, Made, Metered, SHADOWS,
 };
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
@@ -11,7 +11,7 @@ use joulebus_wire::{
 use crate::answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
 use crate::candidates::{Candidates, part};
 use crate::error::AskError;
-use crate::estimate::{Estimate, Progress, Rest};
+use crate::estimate::{Estimate, Progress};
 use crate::limits::{COVERAGE, MAX_STEPS};
 use crate::platform::{Frames, Platform};
 
@@ -102,7 +102,7 @@ impl<'a> Robot<'a> {
         coverage: f32,
     ) -> Result<Vec<Answer>, AskError> {
         self.check(candidates, coverage)?;
-        let answer = |commands| self.answer(commands, &[], coverage);
+        let answer = |commands| self.answer(&Legs::none(commands), coverage);
         Ok(candidates.iter().map(answer).collect())
     }
 
@@ -119,7 +119,7 @@ impl<'a> Robot<'a> {
         self.check(candidates, coverage)?;
         results(answers.len(), candidates.count())?;
         for (answer, commands) in answers.iter_mut().zip(candidates.iter()) {
-            *answer = self.answer(commands, &[], coverage);
+            *answer = self.answer(&Legs::none(commands), coverage);
         }
         Ok(())
     }
@@ -180,6 +180,17 @@ impl<'a> Robot<'a> {
     /// # Errors
     /// A duration or coverage that is not allowed.
     pub fn idle(&self, duration_s: f32, coverage: f32) -> Result<Answer, AskError> {
+        self.idle_along(duration_s, coverage, 0).map(|(answer, _)| answer)
+    }
+
+    /// Same as [`Robot::idle`], with the answers to its parts up to evenly spaced moments, of which the
+    /// last is the end.
+    pub(crate) fn idle_along(
+        &self,
+        duration_s: f32,
+        coverage: f32,
+        moments: usize,
+    ) -> Result<(Answer, Vec<Answer>), AskError> {
         let period_s = self.period_s();
         let allowed = period_s * MAX_STEPS as f32;
         if !(duration_s > 0.0 && duration_s <= allowed) {
@@ -187,12 +198,10 @@ impl<'a> Robot<'a> {
         }
         let steps = (duration_s / period_s).round().max(1.0) as usize;
         let rest = vec![0.0; steps];
-        let candidates = Candidates::new(1, duration_s / steps as f32, &rest, &rest)?;
-        self.check(&candidates, coverage)?;
-        let commands = candidates.iter().next();
-        // There is one candidate.
-        Ok(commands
-            .map_or(self.nothing(duration_s), |commands| self.answer(commands, &[], coverage)))
+        let period_s = duration_s / steps as f32;
+        self.check(&Candidates::new(1, period_s, &rest, &rest)?, coverage)?;
+        let legs = Legs::none(Commands { period_s, v_mps: &rest, omega_radps: &rest });
+        Ok((self.answer(&legs, coverage), self.along(&legs, coverage, moments)))
     }
 
     pub(crate) fn period_s(&self) -> f32 {
@@ -211,37 +220,59 @@ impl<'a> Robot<'a> {
         candidates.check(&settings.name, (settings.v_max_mps, settings.omega_max_radps))
     }
 
-    /// The answer to checked commands. `leg_ends`: the steps after which each leg ends.
-    pub(crate) fn answer(
-        &self,
-        commands: Commands<'_>,
-        leg_ends: &[usize],
-        coverage: f32,
-    ) -> Answer {
-        let duration_s = commands.duration_s();
-        let nothing = self.nothing(duration_s);
+    /// The answer to checked commands.
+    pub(crate) fn answer(&self, legs: &Legs<'_>, coverage: f32) -> Answer {
+        let mut walk = Walk::new(self, legs);
+        let (_, before_last) = legs.ends.split_last().unwrap_or((&0, &[]));
+        let mut limiting_leg = None;
+        for (leg, end) in before_last.iter().enumerate() {
+            walk.to(*end);
+            // A leg at the first point takes no step, and so no energy.
+            if limiting_leg.is_none() && *end > 0 && !self.makes(&walk.progress, coverage) {
+                limiting_leg = Some(leg);
+            }
+        }
+        walk.to(legs.commands.steps());
+        let answer = self.answer_at(&walk.progress, legs, coverage);
+        let verdict = match answer.verdict {
+            // Intervals need not widen from leg to leg.
+            Verdict::Yes if limiting_leg.is_some() => Verdict::Tight,
+            Verdict::Unknown(_) | Verdict::Yes => return answer,
+            verdict => verdict,
+        };
+        let last_leg = legs.ends.len().saturating_sub(1);
+        Answer { verdict, limiting_leg: limiting_leg.or(Some(last_leg)), ..answer }
+    }
+
+    /// The answers to the parts of a plan up to evenly spaced moments, of which the last is the end.
+    pub(crate) fn along(&self, legs: &Legs<'_>, coverage: f32, moments: usize) -> Vec<Answer> {
+        let (mut walk, steps) = (Walk::new(self, legs), legs.commands.steps());
+        let at = |moment: usize| (steps as u64 * moment as u64 / moments as u64) as usize;
+        let answers = (1..=moments).map(|moment| {
+            walk.to(at(moment).max(1));
+            self.answer_at(&walk.progress, legs, coverage)
+        });
+        answers.collect()
+    }
+
+    /// The answer to a plan as far as it has been followed.
+    fn answer_at(&self, progress: &Progress, legs: &Legs<'_>, coverage: f32) -> Answer {
+        let nothing = self.nothing(progress.sum.duration_s());
         if self.unknown.is_some() {
             return nothing;
         }
-        let mut progress = self.begin(commands.period_s);
-        let limiting_leg = self.follow_legs(&mut progress, commands, leg_ends, coverage);
-        let estimate = self.estimate(&progress, coverage);
+        let estimate = self.estimate(progress, coverage);
         let Some(energy) = estimate.energy() else {
             return Answer { verdict: Verdict::Unknown(Unknown::NoLevel), ..nothing };
         };
-        let answer = Answer { energy: Some(energy), caveats: estimate.caveats, ..nothing };
+        let caveats = Caveats { late_s: legs.late_s.ceil() as u16, ..estimate.caveats };
+        let answer = Answer { energy: Some(energy), caveats, ..nothing };
         let battery = match self.battery {
             Ok(battery) => battery,
             Err(reason) => {
                 return Answer { verdict: Verdict::Unknown(reason), ..answer };
             }
         };
-        let verdict = match verdict(&battery, &energy, estimate.caveats) {
-            // Intervals need not widen from leg to leg.
-            Verdict::Yes if limiting_leg.is_some() => Verdict::Tight,
-            verdict => verdict,
-        };
-        let last_leg = leg_ends.len().saturating_sub(1);
         Answer {
             left: Some(Left {
                 mean_j: (battery.left_j - energy.mean_j).max(0.0),
@@ -254,25 +285,24 @@ impl<'a> Robot<'a> {
                 estimate.probability_below(battery.spare.left as f32, battery.sd_after_j(&energy))
             },
             margin_j: Some(battery.usable_lo_j - battery.at_most_j(&energy)),
-            verdict,
-            limiting_leg: (verdict != Verdict::Yes).then(|| limiting_leg.unwrap_or(last_leg)),
+            verdict: verdict(&battery, &energy, estimate.caveats),
             ..answer
         }
     }
 
-    /// Before the first command of a plan.
-    pub(crate) fn begin(&self, period_s: f32) -> Progress {
-        Progress::new(&self.energy, period_s)
+    /// The sum over a way back, for any robot of the platform, but for its first command. Docking is
+    /// part of it.
+    pub(crate) fn rest(&self, way: Commands<'_>) -> Progress {
+        let first = (way.v_mps[0], way.omega_radps[0]);
+        let mut rest = Progress::new(CommandSum::after(first, way.period_s));
+        rest.add(self.model(), part(way, 1, way.steps()), 0.0);
+        rest.added_j += self.docking_j();
+        rest
     }
 
-    /// Follows the next commands of a plan.
-    pub(crate) fn follow(&self, progress: &mut Progress, next: Commands<'_>) {
-        progress.add(self.model(), next);
-    }
-
-    /// The sum over a path, for any robot of the platform.
-    pub(crate) fn rest(&self, way: Commands<'_>) -> Rest {
-        Rest::new(self.model(), way)
+    /// Energy of docking, J.
+    pub(crate) fn docking_j(&self) -> f64 {
+        self.platform.settings.battery.as_ref().map_or(0.0, |battery| battery.docking_j)
     }
 
     /// True if the verdict on a plan, as far as it has been followed, is [`Verdict::Yes`].
@@ -283,29 +313,6 @@ impl<'a> Robot<'a> {
         let estimate = self.estimate(progress, coverage);
         let energy = estimate.energy();
         energy.is_some_and(|energy| verdict(&battery, &energy, estimate.caveats) == Verdict::Yes)
-    }
-
-    /// Follows all commands. Returns the first leg but the last at whose end the verdict is not
-    /// [`Verdict::Yes`].
-    fn follow_legs(
-        &self,
-        progress: &mut Progress,
-        commands: Commands<'_>,
-        leg_ends: &[usize],
-        coverage: f32,
-    ) -> Option<usize> {
-        let (_, before_last) = leg_ends.split_last().unwrap_or((&0, &[]));
-        let (mut done, mut limiting_leg) = (0, None);
-        for (leg, end) in before_last.iter().enumerate() {
-            self.follow(progress, part(commands, done, *end));
-            done = done.max(*end);
-            // A leg at the first point takes no step, and so no energy.
-            if limiting_leg.is_none() && done > 0 && !self.makes(progress, coverage) {
-                limiting_leg = Some(leg);
-            }
-        }
-        self.follow(progress, part(commands, done, commands.steps()));
-        limiting_leg
     }
 
     /// The energy of the followed part, widened where the model's errors do not cover it.
@@ -337,6 +344,58 @@ impl<'a> Robot<'a> {
             verdict: Verdict::Unknown(self.unknown.unwrap_or(Unknown::NoLevel)),
             caveats: self.caveats(),
             ..Answer::UNKNOWN
+        }
+    }
+}
+
+/// The commands of a plan, and what its legs add.
+pub(crate) struct Legs<'a> {
+    pub(crate) commands: Commands<'a>,
+    /// Steps after which each leg ends.
+    pub(crate) ends: &'a [usize],
+    /// Power that each leg adds, W. None where it is shorter.
+    pub(crate) load_w: &'a [f32],
+    /// Energy at the end, J.
+    pub(crate) docking_j: f64,
+    /// The longest delay, s.
+    pub(crate) late_s: f32,
+}
+
+impl<'a> Legs<'a> {
+    /// A plan without legs.
+    pub(crate) const fn none(commands: Commands<'a>) -> Self {
+        Self { commands, ends: &[], load_w: &[], docking_j: 0.0, late_s: 0.0 }
+    }
+}
+
+/// Follows a plan from step to step.
+pub(crate) struct Walk<'a> {
+    robot: &'a Robot<'a>,
+    legs: &'a Legs<'a>,
+    pub(crate) progress: Progress,
+    done: usize,
+    leg: usize,
+}
+
+impl<'a> Walk<'a> {
+    pub(crate) fn new(robot: &'a Robot<'a>, legs: &'a Legs<'a>) -> Self {
+        let sum = CommandSum::new(&robot.energy, legs.commands.period_s);
+        Self { robot, legs, progress: Progress::new(sum), done: 0, leg: 0 }
+    }
+
+    /// Follows the plan up to a step, at most its last.
+    pub(crate) fn to(&mut self, step: usize) {
+        let steps = self.legs.commands.steps();
+        while self.done < step.min(steps) {
+            let end = self.legs.ends.get(self.leg).copied().unwrap_or(steps);
+            let load_w = self.legs.load_w.get(self.leg).copied().unwrap_or(0.0);
+            let next = step.min(steps).min(end.max(self.done));
+            let commands = part(self.legs.commands, self.done, next);
+            self.progress.add(self.robot.model(), commands, load_w);
+            (self.done, self.leg) = (next, self.leg + usize::from(next >= end));
+            if next == steps {
+                self.progress.added_j += self.legs.docking_j;
+            }
         }
     }
 }

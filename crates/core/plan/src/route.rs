@@ -1,10 +1,10 @@
 //! The robot-independent part of a path and the paths back from it, for a platform.
 
 use crate::error::{AskError, PathError};
-use crate::estimate::Rest;
+use crate::estimate::Progress;
 use crate::follower::{Followed, Follower};
 use crate::path::{Path, Point};
-use crate::robot::Robot;
+use crate::robot::{Legs, Robot};
 
 /// Times at which turning back is tried, at most.
 const MAX_TURN_BACKS: usize = 64;
@@ -17,13 +17,19 @@ const MAX_TURN_BACKS: usize = 64;
 /// rows that are still young.
 #[derive(Debug, Clone)]
 pub(crate) struct Route {
-    follower: Follower,
-    back: Option<Back>,
     there: Followed,
     /// The path, with the path back from the end as one more leg.
     whole: Followed,
-    /// The ways back, as far as they were followed, in the order of [`Route::turns`].
-    homes: Vec<Option<Home>>,
+    homes: Homes,
+}
+
+/// The ways back from within a path.
+#[derive(Debug, Clone)]
+pub(crate) struct Homes {
+    follower: Follower,
+    back: Option<Back>,
+    /// As far as they were followed, in the order of [`Route::turns`].
+    followed: Vec<Option<Home>>,
 }
 
 /// The point to return to.
@@ -39,7 +45,7 @@ pub(crate) struct Home {
     /// Its first command, m/s and rad/s. The command before it is in force until then.
     pub(crate) v_mps: f32,
     pub(crate) omega_radps: f32,
-    pub(crate) rest: Rest,
+    pub(crate) rest: Progress,
 }
 
 /// Remaining number of paths back that may be followed for the first time before other questions
@@ -72,7 +78,7 @@ impl Route {
             }
             None => there.clone(),
         };
-        Ok(Self { follower, back, there, whole, homes: Vec::new() })
+        Ok(Self { there, whole, homes: Homes { follower, back, followed: Vec::new() } })
     }
 
     /// The commands of path and way back.
@@ -85,14 +91,20 @@ impl Route {
         self.whole
     }
 
-    /// The path alone.
-    pub(crate) const fn there(&self) -> &Followed {
-        &self.there
+    /// Path and way back, with docking at its end.
+    pub(crate) fn legs(&self, robot: &Robot<'_>) -> Legs<'_> {
+        let docking_j = if self.returns() { robot.docking_j() } else { 0.0 };
+        Legs { docking_j, ..self.whole.legs() }
+    }
+
+    /// The path alone, and the ways back from it.
+    pub(crate) const fn parts(&mut self) -> (&Followed, &mut Homes) {
+        (&self.there, &mut self.homes)
     }
 
     /// True if there is a way back.
     pub(crate) const fn returns(&self) -> bool {
-        self.back.is_some()
+        self.homes.back.is_some()
     }
 
     /// The steps after which turning back is tried.
@@ -100,31 +112,39 @@ impl Route {
         let steps = self.there.v_mps.len();
         (0..steps).step_by(steps.div_ceil(MAX_TURN_BACKS).max(1))
     }
+}
 
+impl Homes {
     /// The path back from a turn, by its index in [`Route::turns`], which are taken in order.
     /// `None` if the robot cannot turn back there.
     pub(crate) fn home(
         &mut self,
         robot: &Robot<'_>,
+        there: &Followed,
         (place, turn): (usize, usize),
         ways: &mut Ways,
     ) -> Result<Result<Option<&Home>, Later>, AskError> {
-        if self.homes.len() <= place {
+        if self.followed.len() <= place {
             let Some(left) = ways.0.checked_sub(1) else {
                 return Ok(Err(Later));
             };
             ways.0 = left;
-            let home = self.turned(robot, turn)?;
-            self.homes.push(home);
+            let home = self.turned(robot, there, turn)?;
+            self.followed.push(home);
         }
-        Ok(Ok(self.homes[place].as_ref()))
+        Ok(Ok(self.followed[place].as_ref()))
     }
 
-    fn turned(&self, robot: &Robot<'_>, turn: usize) -> Result<Option<Home>, AskError> {
+    fn turned(
+        &self,
+        robot: &Robot<'_>,
+        there: &Followed,
+        turn: usize,
+    ) -> Result<Option<Home>, AskError> {
         let Some(back) = &self.back else {
             return Ok(None);
         };
-        match back.home(&self.follower, &self.there, turn) {
+        match back.home(&self.follower, there, turn) {
             Ok(home) => Ok(Some(Home {
                 v_mps: home.v_mps[0],
                 omega_radps: home.omega_radps[0],
@@ -153,6 +173,7 @@ impl Back {
             points: vec![pose.at, self.dock],
             speed_mps: vec![self.speed_mps; 2],
             heading_rad: Some(pose.heading_rad),
+            ..Path::default()
         };
         let home = follower.follow(&home)?;
         let found = steps + home.v_mps.len();
@@ -174,6 +195,9 @@ fn append(there: &Followed, home: &Followed) -> Followed {
         v_mps: [&there.v_mps[..], &home.v_mps].concat(),
         omega_radps: [&there.omega_radps[..], &home.omega_radps].concat(),
         leg_ends,
+        // Nothing is loaded on the way back.
+        load_w: there.load_w.clone(),
+        late_s: there.late_s,
         poses: [&there.poses[..steps], &home.poses].concat(),
     }
 }

@@ -3,14 +3,14 @@
 use joulebus_energy::Commands;
 
 use crate::answer::{Answer, Verdict};
-use crate::candidates::{Candidates, part};
+use crate::candidates::Candidates;
 use crate::error::AskError;
 use crate::estimate::Progress;
 use crate::follower::Followed;
 use crate::limits::MAX_STEPS;
 use crate::path::{Path, Point};
 use crate::question::{Row, best_first};
-use crate::robot::Robot;
+use crate::robot::{Legs, Robot, Walk};
 use crate::route::{Home, Later, Route, Ways};
 
 /// The answer to a path, and back if asked.
@@ -100,7 +100,7 @@ impl Robot<'_> {
         let columns = (&whole.v_mps, &whole.omega_radps);
         let candidates = Candidates::new(1, whole.period_s, columns.0, columns.1)?;
         self.check(&candidates, coverage)?;
-        Ok(self.answer(whole.commands(), &whole.leg_ends, coverage))
+        Ok(self.answer(&route.legs(self), coverage))
     }
 
     /// Latest time at which the robot can turn back on a route. `whole` is its answer to all of it:
@@ -115,26 +115,25 @@ impl Robot<'_> {
         if !route.returns() || whole.verdict == Verdict::Yes {
             return Ok(Ok(None));
         }
-        let period_s = route.there().period_s;
-        let (mut progress, mut done, mut leg) = (self.begin(period_s), 0, 0);
-        let mut last_s = None;
-        for (place, turn) in route.turns().enumerate() {
-            let there = route.there();
-            while let Some(end) = there.leg_ends.get(leg).filter(|end| **end <= turn) {
-                self.follow(&mut progress, part(there.commands(), done, *end));
-                (done, leg) = (*end, leg + 1);
-                if done > 0 && !self.makes(&progress, coverage) {
+        let turns = route.turns();
+        let (there, homes) = route.parts();
+        let (period_s, legs) = (there.period_s, there.legs());
+        let (mut walk, mut leg, mut last_s) = (Walk::new(self, &legs), 0, None);
+        for (place, turn) in turns.enumerate() {
+            while let Some(end) = legs.ends.get(leg).filter(|end| **end <= turn) {
+                walk.to(*end);
+                leg += 1;
+                if *end > 0 && !self.makes(&walk.progress, coverage) {
                     return Ok(Ok(last_s));
                 }
             }
-            self.follow(&mut progress, part(there.commands(), done, turn));
-            done = turn;
-            let home = match route.home(self, (place, turn), ways)? {
+            walk.to(turn);
+            let home = match homes.home(self, there, (place, turn), ways)? {
                 Ok(Some(home)) => home,
                 Ok(None) => return Ok(Ok(last_s)),
                 Err(later) => return Ok(Err(later)),
             };
-            if !self.makes(&self.turned(progress, home), coverage) {
+            if !self.makes(&self.turned(walk.progress, home), coverage) {
                 return Ok(Ok(last_s));
             }
             last_s = Some(turn as f32 * period_s);
@@ -145,11 +144,11 @@ impl Robot<'_> {
     /// A plan that continues with a path back.
     fn turned(&self, mut progress: Progress, home: &Home) -> Progress {
         let first = Commands {
-            period_s: progress.period_s(),
+            period_s: progress.sum.period_s(),
             v_mps: &[home.v_mps],
             omega_radps: &[home.omega_radps],
         };
-        self.follow(&mut progress, first);
+        progress.add(&self.platform().energy, first, 0.0);
         progress.join(&home.rest);
         progress
     }
@@ -160,6 +159,25 @@ impl Followed {
     #[must_use]
     pub fn commands(&self) -> Commands<'_> {
         Commands { period_s: self.period_s, v_mps: &self.v_mps, omega_radps: &self.omega_radps }
+    }
+
+    pub(crate) fn legs(&self) -> Legs<'_> {
+        Legs {
+            ends: &self.leg_ends,
+            load_w: &self.load_w,
+            late_s: self.late_s,
+            ..Legs::none(self.commands())
+        }
+    }
+
+    /// Adds the loads of the legs to the power of every step, W.
+    pub(crate) fn add_loads(&self, power_w: &mut [f32]) {
+        let mut begin = 0;
+        for (end, load_w) in self.leg_ends.iter().zip(&self.load_w) {
+            let steps = power_w.get_mut(begin..*end).unwrap_or_default();
+            steps.iter_mut().for_each(|power_w| *power_w += load_w);
+            begin = *end;
+        }
     }
 }
 

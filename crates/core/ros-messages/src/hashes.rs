@@ -24,7 +24,7 @@ const HASHES: [(&str, &str); 10] = [
     ),
     (
         "joulebus_msgs/srv/WhatIf",
-        "f12090b8e3ea2e62e0b1e4917c0b534abdae7cb4ac59d79cd3d70d49b99a5287",
+        "1dd096f85b331685d816febe21ea18fcd3a433398d8c0c7955f6645ed49feb72",
     ),
     (
         "joulebus_msgs/srv/Acknowledge",

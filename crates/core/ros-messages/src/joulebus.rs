@@ -141,6 +141,12 @@ messages! {
         pub path: Vec<Vector3>,
         /// Speed towards each point, m/s, or nothing.
         pub speed_mps: Vec<f64>,
+        /// Time that the robots wait at each point, s, or nothing.
+        pub dwell_s: Vec<f64>,
+        /// Power that they draw in addition towards each point, W, or nothing.
+        pub load_w: Vec<f64>,
+        /// When they are at each point, s, or nothing.
+        pub time_s: Vec<f64>,
         /// Whether the robots return to the first point.
         pub return_to_start: bool,
         /// Time at rest, s.

@@ -106,6 +106,8 @@ pub struct Battery {
     /// Energy that a robot needs to return from anywhere, J, if its samples do not state it.
     /// `None`: `CannotReturn` is raised only for robots whose samples state it.
     pub return_j: Option<f64>,
+    /// Energy that docking costs at the end of a way back, J.
+    pub docking_j: f64,
 }
 
 /// The meaning of a power reading while the robot is on its charger.
@@ -258,6 +260,8 @@ impl Battery {
         check("battery level_band", self.level_band, bounds::LEVEL_BAND)?;
         let return_j = self.return_j.unwrap_or(least);
         check("battery return energy beside the capacity", return_j, least..=self.capacity_j)?;
+        let docking_j = self.docking_j;
+        check("battery docking energy beside the capacity", docking_j, least..=self.capacity_j)?;
         if let Some(table) = &table {
             check("battery open_circuit_sd", table.sd, bounds::SOC_SD)?;
             check("battery resistance_ohm", table.resistance_ohm, bounds::RESISTANCE_OHM)?;
@@ -289,6 +293,7 @@ impl Battery {
             critical: 0.1,
             level_band: 0.03,
             return_j: None,
+            docking_j: 0.0,
         }
     }
 }

@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`QueryKind::WhatIf`] | the robot's id, then v in m/s, ω in rad/s for each candidate's steps |
 //! | [`QueryKind::Idle`] | ids of the robots |
-//! | [`QueryKind::Follow`] | ids of the robots, then x in m, y in m, speed to it in m/s per point |
+//! | [`QueryKind::Follow`] | ids of the robots, then x in m, y in m, speed to it in m/s per point, then the columns that [flags](query_flag) name |
 //! | [`QueryKind::Acknowledge`] | the robot's id, the alarm's code, then the characters of a name |
 
 use crate::declare::ZeroCopySend;
@@ -24,7 +24,9 @@ use crate::rows;
 /// a plan's energy is part of verdict and probability.
 ///
 /// 5: a plan whose commands are not trusted leans on the robot's own mean, as its outlook does.
-pub const ANSWER_RULES: u32 = 5;
+///
+/// 6: the stairs of a grid are driven as straight lines.
+pub const ANSWER_RULES: u32 = 6;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
 /// where they do not.
@@ -89,8 +91,18 @@ bits! {
         pub const POWER: u32 = 1 << 2;
         /// For an acknowledgement: the robot's present level is its own from now on.
         pub const NEW_NORMAL: u32 = 1 << 3;
+        /// Of a path: the time that the robot waits at each point follows the points, s.
+        pub const DWELL: u32 = 1 << 4;
+        /// Of a path: the power that the robot draws in addition towards each point follows, W.
+        pub const LOAD: u32 = 1 << 5;
+        /// Of a path: the time of each point follows, s.
+        pub const TIMES: u32 = 1 << 6;
+        /// Of a path: `tolerance_m` is stated.
+        pub const TOLERANCE: u32 = 1 << 7;
+        /// The bits that only a path has.
+        pub const OF_PATH: u32 = RETURN | HEADING | DWELL | LOAD | TIMES | TOLERANCE;
         /// All bits of a question about a plan that this version knows.
-        pub const ALL: u32 = RETURN | HEADING | POWER;
+        pub const ALL: u32 = OF_PATH | POWER;
     }
 }
 
@@ -119,7 +131,8 @@ rows! {
         pub flags: u32,
         /// Number of robots, at most [`MAX_QUERY_ROBOTS`].
         pub robots: u32,
-        /// Number of candidates, at most [`MAX_QUERY_CANDIDATES`]. 0 unless they are asked about.
+        /// Number of candidates, at most [`MAX_QUERY_CANDIDATES`]. Of one robot's path or rest: number of
+        /// evenly spaced moments up to which a part of the plan is answered too, each with a row.
         pub candidates: u32,
         /// Steps of each candidate, points of the path, or characters of a name.
         pub steps: u32,
@@ -129,8 +142,9 @@ rows! {
         pub period_s: f32,
         /// Time at rest, s.
         pub duration_s: f32,
-        /// 0.
-        pub reserved: u32,
+        /// Distance from the path within which corners are cut, m. Without the flag: stairs of a grid
+        /// within half a cell.
+        pub tolerance_m: f32,
         /// Where to return to, m.
         pub return_x_m: f64,
         /// Where to return to, m.
@@ -237,7 +251,8 @@ rows! {
         /// Why it is unknown: 1 stale, 2 invalid, 3 warm-up, 4 unreadable, 5 no level, 6 no
         /// battery, 7 battery unknown, 8 no budget. 0 if it is not.
         pub unknown: u16,
-        /// Code of the [`crate::InvalidReason`], or readings so far in the warm-up.
+        /// Code of the [`crate::InvalidReason`], or readings so far in the warm-up. With other verdicts
+        /// the longest delay at a point of a path with times, s, rounded up.
         pub unknown_detail: u16,
         /// The first leg at whose end a yes does not hold, from 0.
         pub limiting_leg: u32,

@@ -468,6 +468,7 @@ impl Builder<'_> {
             critical: number("critical")?,
             level_band: number("level_band")?,
             return_j: known(number("return_wh")? * 3600.0),
+            docking_j: number("docking_wh")? * 3600.0,
         })
     }
 

@@ -384,6 +384,7 @@ fn battery(values: &Values, problems: &mut Vec<Problem>) {
     for (below, above, why) in [
         ("critical", "low", "A critical battery is low too"),
         ("return_wh", "capacity_wh", "No full battery would be enough"),
+        ("docking_wh", "capacity_wh", "No full battery would be enough"),
     ] {
         let [below, above] = [below, above].map(|name| format!("platform.battery.{name}"));
         let shares = (values.number(&below), values.number(&above));

@@ -214,4 +214,6 @@ pub const KEYS: &[Key] = &[
         "A level is cleared this far above the threshold at which it is raised.")),
     of(Platform, key("platform.battery.return_wh", num(0.0..=*bounds::BATTERY_CAPACITY_WH.end()), "Wh", DefaultValue::Number(0.0),
         "Energy that a robot needs to return from anywhere. CannotReturn is raised when less than this is certainly left. A planner states it per robot (RobotState::return_energy). 0: only robots whose planner states it.")),
+    of(Platform, key("platform.battery.docking_wh", num(0.0..=*bounds::BATTERY_CAPACITY_WH.end()), "Wh", DefaultValue::Number(0.0),
+        "Energy that docking costs the robot at the end of a way back. Answers about a path with a return add it, so that it is not taken from the reserve.")),
 ];

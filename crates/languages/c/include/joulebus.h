@@ -165,8 +165,18 @@
 #define JOULEBUS_QUERY_POWER 0x4u
 /** For an acknowledgement: the robot's present level is its own from now on. */
 #define JOULEBUS_QUERY_NEW_NORMAL 0x8u
+/** Of a path: the time that the robot waits at each point follows the points, s. */
+#define JOULEBUS_QUERY_DWELL 0x10u
+/** Of a path: the power that the robot draws in addition towards each point follows, W. */
+#define JOULEBUS_QUERY_LOAD 0x20u
+/** Of a path: the time of each point follows, s. */
+#define JOULEBUS_QUERY_TIMES 0x40u
+/** Of a path: tolerance_m is stated. */
+#define JOULEBUS_QUERY_TOLERANCE 0x80u
+/** The bits that only a path has. */
+#define JOULEBUS_QUERY_OF_PATH 0xf3u
 /** All bits of a question about a plan that this version knows. */
-#define JOULEBUS_QUERY_ALL 0x7u
+#define JOULEBUS_QUERY_ALL 0xf7u
 
 /** mean_j, lo_j and hi_j are known. */
 #define JOULEBUS_ANSWER_ENERGY 0x1u
@@ -840,7 +850,10 @@ typedef struct joulebus_query_header {
     uint32_t flags;
     /** Number of robots, at most MAX_QUERY_ROBOTS. */
     uint32_t robots;
-    /** Number of candidates, at most MAX_QUERY_CANDIDATES. 0 unless they are asked about. */
+    /**
+     * Number of candidates, at most MAX_QUERY_CANDIDATES. Of one robot's path or rest: number of
+     * evenly spaced moments up to which a part of the plan is answered too, each with a row.
+     */
     uint32_t candidates;
     /** Steps of each candidate, points of the path, or characters of a name. */
     uint32_t steps;
@@ -850,8 +863,11 @@ typedef struct joulebus_query_header {
     float period_s;
     /** Time at rest, s. */
     float duration_s;
-    /** 0. */
-    uint32_t reserved;
+    /**
+     * Distance from the path within which corners are cut, m. Without the flag: stairs of a grid
+     * within half a cell.
+     */
+    float tolerance_m;
     /** Where to return to, m. */
     double return_x_m;
     /** Where to return to, m. */
@@ -911,7 +927,10 @@ typedef struct joulebus_answer_row {
      * battery unknown, 8 no budget. 0 if it is not.
      */
     uint16_t unknown;
-    /** Code of the InvalidReason, or readings so far in the warm-up. */
+    /**
+     * Code of the InvalidReason, or readings so far in the warm-up. With other verdicts the longest
+     * delay at a point of a path with times, s, rounded up.
+     */
     uint16_t unknown_detail;
     /** The first leg at whose end a yes does not hold, from 0. */
     uint32_t limiting_leg;
@@ -1469,7 +1488,7 @@ typedef struct joulebus_question {
      */
     uint32_t kind;
     /**
-     * JOULEBUS_QUERY_RETURN and HEADING, of FOLLOW.
+     * JOULEBUS_QUERY_RETURN, HEADING and TOLERANCE, of FOLLOW.
      */
     uint32_t flags;
     /**
@@ -1485,9 +1504,10 @@ typedef struct joulebus_question {
      */
     float duration_s;
     /**
-     * 0.
+     * Distance from the path within which corners are cut, m, with JOULEBUS_QUERY_TOLERANCE. Else
+     * the stairs of a grid within half a cell.
      */
-    uint32_t reserved;
+    float tolerance_m;
     /**
      * Ids of the robots.
      */
@@ -1497,7 +1517,9 @@ typedef struct joulebus_question {
      */
     size_t robot_count;
     /**
-     * For WHAT_IF: number of candidates.
+     * For WHAT_IF: number of candidates. For IDLE and FOLLOW of one robot: number of evenly spaced
+     * moments, at most 256, up to each of which its part of the plan is answered in a row of its own,
+     * after that of the whole.
      */
     size_t candidates;
     /**
@@ -1530,9 +1552,23 @@ typedef struct joulebus_question {
     double return_y_m;
     /**
      * Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING.
-     * Else towards the second point.
+     * Else towards the first point that is elsewhere.
      */
     double heading_rad;
+    /**
+     * For FOLLOW: time that the robot waits at each point, s. NULL: none.
+     */
+    const double *dwell_s;
+    /**
+     * For FOLLOW: power that the robot draws in addition on the way to each point and while it waits
+     * there, W. NULL: none.
+     */
+    const double *load_w;
+    /**
+     * For FOLLOW: when the robot is at each point, s, from the first. Speeds are then upper limits.
+     * NULL: no times.
+     */
+    const double *time_s;
 } joulebus_question;
 
 /**

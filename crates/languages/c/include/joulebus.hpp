@@ -637,6 +637,37 @@ public:
         return *this;
     }
     Question &&heading(double rad) && { return std::move(heading(rad)); }
+    /** Time that the robot waits at each point of the path, s. */
+    Question &dwell(std::vector<double> s) & {
+        dwell_s_ = std::move(s);
+        return *this;
+    }
+    Question &&dwell(std::vector<double> s) && { return std::move(dwell(std::move(s))); }
+    /** Power that the robot draws in addition on the way to each point and while it waits there, W. */
+    Question &load(std::vector<double> w) & {
+        load_w_ = std::move(w);
+        return *this;
+    }
+    Question &&load(std::vector<double> w) && { return std::move(load(std::move(w))); }
+    /** When the robot is at each point, s, from the first. Speeds are then upper limits. */
+    Question &times(std::vector<double> s) & {
+        time_s_ = std::move(s);
+        return *this;
+    }
+    Question &&times(std::vector<double> s) && { return std::move(times(std::move(s))); }
+    /** Cuts corners within a distance of the path, m. Without it, the stairs of a grid within half a cell. */
+    Question &tolerance(float m) & {
+        asked_.flags |= JOULEBUS_QUERY_TOLERANCE;
+        asked_.tolerance_m = m;
+        return *this;
+    }
+    Question &&tolerance(float m) && { return std::move(tolerance(m)); }
+    /** For one robot: also answers the parts of the plan up to evenly spaced moments, after the whole. */
+    Question &moments(std::size_t count) & {
+        moments_ = count;
+        return *this;
+    }
+    Question &&moments(std::size_t count) && { return std::move(moments(count)); }
     /** Coverage of the intervals, 0.5 to 0.999. The default is 0.9. */
     Question &coverage(float share) & {
         asked_.coverage = share;
@@ -654,7 +685,7 @@ public:
 
     /**
      * The struct of C. It is valid until this question changes. It is empty if there are too few
-     * commands.
+     * commands, or a column has not one value for each point.
      */
     std::optional<joulebus_question> raw() const noexcept {
         joulebus_question raw = asked_;
@@ -662,6 +693,16 @@ public:
         if (v_mps_.size() != omega_radps_.size() || (steps == 0 ? 0 : v_mps_.size() / steps) != raw.candidates ||
             (steps != 0 && v_mps_.size() % steps != 0)) {
             return std::nullopt;
+        }
+        for (const auto *column : {&dwell_s_, &load_w_, &time_s_}) {
+            if (!column->empty() && column->size() != path_.size()) {
+                return std::nullopt;
+            }
+        }
+        const auto given = [](const std::vector<double> &column) { return column.empty() ? nullptr : column.data(); };
+        raw.dwell_s = given(dwell_s_), raw.load_w = given(load_w_), raw.time_s = given(time_s_);
+        if (raw.kind != JOULEBUS_QUERY_KIND_WHAT_IF) {
+            raw.candidates = moments_;
         }
         raw.robots = robots_.data(), raw.robot_count = robots_.size();
         raw.v_mps = v_mps_.data(), raw.omega_radps = omega_radps_.data();
@@ -680,6 +721,10 @@ private:
     std::vector<float> v_mps_;
     std::vector<float> omega_radps_;
     std::vector<joulebus_waypoint> path_;
+    std::vector<double> dwell_s_;
+    std::vector<double> load_w_;
+    std::vector<double> time_s_;
+    std::size_t moments_ = 0;
     bool power_ = false;
 };
 
@@ -706,13 +751,15 @@ namespace detail {
 template <class Ask> Result<Answers> answered(const Question &question, Ask ask) {
     auto raw = question.raw();
     if (!raw) {
-        return Error{JOULEBUS_ERROR_ARGUMENT, "v_mps and omega_radps must have candidates * steps values each"};
+        return Error{JOULEBUS_ERROR_ARGUMENT, "v_mps and omega_radps must have candidates * steps values each, "
+                                              "and dwell, load and times none or one for each point"};
     }
     const bool what_if = raw->kind == JOULEBUS_QUERY_KIND_WHAT_IF;
     std::size_t powers = !question.wants_power() ? 0 : what_if ? raw->candidates * raw->steps : JOULEBUS_MAX_QUERY_STEPS;
     for (;;) {
         Answers answers;
-        answers.rows.resize(what_if ? raw->candidates : raw->robot_count);
+        const std::size_t moments = raw->candidates < JOULEBUS_MAX_QUERY_CANDIDATES ? raw->candidates : JOULEBUS_MAX_QUERY_CANDIDATES;
+        answers.rows.resize(what_if ? raw->candidates : raw->robot_count == 1 ? 1 + moments : raw->robot_count);
         answers.power_w.resize(powers);
         joulebus_answers to{};
         to.rows = answers.rows.data();

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::memory::{array, array_mut, check_apart, product};
 
 /// Flags that a C program may set in a question.
-const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING;
+const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING | query_flag::TOLERANCE;
 
 /// A question.
 ///
@@ -17,11 +17,9 @@ const FLAGS: u32 = query_flag::RETURN | query_flag::HEADING;
 #[allow(unsafe_code, reason = "memory of the caller")]
 pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Question, Failure> {
     let found = from.flags;
-    if found & !FLAGS != 0 || from.reserved != 0 {
+    if found & !FLAGS != 0 {
         return Err(Failure::argument(format!(
-            "flags of a question are {found:#x}, reserved is {}: allowed are JOULEBUS_QUERY_RETURN and \
-             JOULEBUS_QUERY_HEADING, and 0",
-            from.reserved
+            "flags of a question are {found:#x}: allowed are JOULEBUS_QUERY_RETURN, _HEADING and _TOLERANCE"
         )));
     }
     // SAFETY: the caller's promise.
@@ -34,8 +32,7 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
         }
         Some(QueryKind::Follow) => {
             // SAFETY: as above.
-            let path = unsafe { array("path", from.path, from.points) }?;
-            follow(from, robots, path)
+            unsafe { follow(from, robots) }?
         }
         Some(QueryKind::Acknowledge) | None => {
             return Err(Failure::argument(format!(
@@ -44,7 +41,11 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
             )));
         }
     };
-    Ok(Question { plan, coverage: from.coverage, power })
+    let moments = match plan {
+        Plan::WhatIf { .. } => 0,
+        _ => from.candidates,
+    };
+    Ok(Question { plan, coverage: from.coverage, power, moments })
 }
 
 #[allow(unsafe_code, reason = "memory of the caller")]
@@ -69,17 +70,27 @@ unsafe fn what_if(from: &joulebus_question, robots: &[u32]) -> Result<Plan, Fail
     })
 }
 
-fn follow(from: &joulebus_question, robots: &[u32], path: &[joulebus_waypoint]) -> Plan {
+#[allow(unsafe_code, reason = "memory of the caller")]
+unsafe fn follow(from: &joulebus_question, robots: &[u32]) -> Result<Plan, Failure> {
     let has = |flag| from.flags & flag != 0;
-    Plan::Follow {
-        robots: robots.to_vec(),
-        path: Path {
-            points: path.iter().map(|at| Point::new(at.x_m, at.y_m)).collect(),
-            speed_mps: path.iter().map(|at| at.speed_mps).collect(),
-            heading_rad: has(query_flag::HEADING).then_some(from.heading_rad),
-        },
-        back_to: has(query_flag::RETURN).then_some(Point::new(from.return_x_m, from.return_y_m)),
-    }
+    let column = |name, values: *const f64| {
+        let count = if values.is_null() { 0 } else { from.points };
+        // SAFETY: the caller's promise.
+        unsafe { array(name, values, count) }.map(<[f64]>::to_vec)
+    };
+    // SAFETY: as above.
+    let path = unsafe { array("path", from.path, from.points) }?;
+    let path = Path {
+        points: path.iter().map(|at| Point::new(at.x_m, at.y_m)).collect(),
+        speed_mps: path.iter().map(|at| at.speed_mps).collect(),
+        heading_rad: has(query_flag::HEADING).then_some(from.heading_rad),
+        dwell_s: column("dwell_s", from.dwell_s)?,
+        load_w: column("load_w", from.load_w)?,
+        time_s: column("time_s", from.time_s)?,
+        tolerance_m: has(query_flag::TOLERANCE).then_some(from.tolerance_m),
+    };
+    let back_to = has(query_flag::RETURN).then_some(Point::new(from.return_x_m, from.return_y_m));
+    Ok(Plan::Follow { robots: robots.to_vec(), path, back_to })
 }
 
 pub(crate) struct Places<'a> {
@@ -99,6 +110,7 @@ impl<'a> Places<'a> {
     ) -> Result<Self, Failure> {
         let needed = match QueryKind::decode(question.kind) {
             Some(QueryKind::WhatIf) => question.candidates,
+            _ if question.robot_count == 1 => question.candidates.saturating_add(1),
             _ => question.robot_count,
         };
         if of.row_capacity < needed {
@@ -122,13 +134,13 @@ impl<'a> Places<'a> {
 
     /// Writes a reply, and returns the numbers of rows and of powers.
     pub(crate) fn fill(self, reply: &Reply) -> Result<(usize, usize), Failure> {
-        let (found, allowed) = (reply.rows.len(), self.rows.len());
+        let (found, allowed) = (reply.rows.len() + reply.along.len(), self.rows.len());
         if found > allowed {
             return Err(Failure::argument(format!(
                 "{found} answers: there is place for {allowed}"
             )));
         }
-        for (to, row) in self.rows.iter_mut().zip(&reply.rows) {
+        for (to, row) in self.rows.iter_mut().zip(reply.rows.iter().chain(&reply.along)) {
             *to = row.encode();
         }
         let powers = reply.power_w.len();

@@ -118,7 +118,7 @@ impl QuestionPorts {
             v_mps: v.values,
             omega_radps: omega.values,
         };
-        self.answer(py, Question { plan, coverage, power }, timeout_s)
+        self.answer(py, Question { plan, coverage, power, moments: 0 }, timeout_s)
     }
 
     /// Robots that stand still for a time, s.
@@ -128,15 +128,17 @@ impl QuestionPorts {
         robots: &Bound<'py, PyAny>,
         duration_s: f32,
         coverage: f32,
+        moments: usize,
         timeout_s: f64,
     ) -> PyResult<Bound<'py, PyDict>> {
         let robots = Ids::read("robots", robots)?.0;
         let plan = Plan::Idle { robots, duration_s };
-        let question = Question { plan, coverage, power: false };
+        let question = Question { plan, coverage, power: false, moments };
         self.answer(py, question, timeout_s)
     }
 
-    /// Robots that follow a path: points `(points, 2)` in m, and the speed towards each.
+    /// Robots that follow a path: points `(points, 2)` in m, the speed towards each, and the columns
+    /// `dwell_s`, `load_w` and `time_s`, of which each may be missing.
     #[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
     fn follow<'py>(
         &self,
@@ -144,19 +146,21 @@ impl QuestionPorts {
         robots: &Bound<'py, PyAny>,
         points: &Bound<'py, PyAny>,
         speed: &Bound<'py, PyAny>,
-        heading_rad: Option<f64>,
+        columns: [Option<Bound<'py, PyAny>>; 3],
+        (heading_rad, tolerance_m): (Option<f64>, Option<f32>),
         back_to: Option<(f64, f64)>,
         coverage: f32,
         power: bool,
+        moments: usize,
         timeout_s: f64,
     ) -> PyResult<Bound<'py, PyDict>> {
         let robots = Ids::read("robots", robots)?.0;
         let plan = Plan::Follow {
             robots,
-            path: path(points, speed, heading_rad)?,
+            path: Path { heading_rad, tolerance_m, ..path(points, speed, &columns)? },
             back_to: back_to.map(|(x_m, y_m)| Point::new(x_m, y_m)),
         };
-        self.answer(py, Question { plan, coverage, power }, timeout_s)
+        self.answer(py, Question { plan, coverage, power, moments }, timeout_s)
     }
 
     /// Leaves the fleet.
@@ -194,6 +198,9 @@ impl QuestionPorts {
         }
         let reply = work.finish();
         let found = columns(py, &reply.rows)?;
+        if !reply.along.is_empty() {
+            found.set_item("along", columns(py, &reply.along)?)?;
+        }
         found.set_item("tick", seen.tick)?;
         found.set_item("age_s", seen.age_ns as f64 * 1e-9)?;
         if !reply.power_w.is_empty() {
@@ -254,7 +261,7 @@ fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Resu
 fn path(
     points: &Bound<'_, PyAny>,
     speed: &Bound<'_, PyAny>,
-    heading_rad: Option<f64>,
+    columns: &[Option<Bound<'_, PyAny>>; 3],
 ) -> PyResult<Path> {
     let (points, speed) = (Doubles::read("path", points)?, Doubles::read("speed", speed)?);
     let [count, 2] = *points.shape else {
@@ -273,7 +280,24 @@ fn path(
         }
     };
     let point = |at: &[f64]| Point::new(at[0], at[1]);
-    Ok(Path { points: points.values.chunks_exact(2).map(point).collect(), speed_mps, heading_rad })
+    let column = |place: usize, name| match &columns[place] {
+        None => Ok(Vec::new()),
+        Some(values) => {
+            let values = Doubles::read(name, values)?;
+            match *values.shape {
+                [found] if found == count => Ok(values.values),
+                _ => Err(shape_error(name, &values.shape, &format!("({count},), of each point"))),
+            }
+        }
+    };
+    Ok(Path {
+        points: points.values.chunks_exact(2).map(point).collect(),
+        speed_mps,
+        dwell_s: column(0, "dwell")?,
+        load_w: column(1, "load")?,
+        time_s: column(2, "times")?,
+        ..Path::default()
+    })
 }
 
 /// The answers by columns. What is unknown is NaN, and −1 as a leg.

@@ -120,6 +120,19 @@ def test_a_path_costs_the_same_with_two_points_and_with_a_point_every_millimetre
     assert many.duration_s == pytest.approx(few.duration_s, rel=0.005)
 
 
+def test_waits_and_loads_cost_and_times_that_cannot_be_kept_are_said(asking):
+    plain = known(lambda: asking.ask(7, PATH, speed=0.15))[0]
+    legs = {"dwell": [0.0, 60.0, 0.0], "load": [0.0, 0.0, 2.0]}
+    there = known(lambda: asking.ask(7, PATH, speed=0.15, moments=8, **legs))
+    assert there[0].duration_s > plain.duration_s + 59 and there[0].energy_j > plain.energy_j + 60
+    assert len(there.along) == 8 and there.along.duration_s[-1] == there.duration_s[0]
+    assert np.all(np.diff(there.along.energy_j) > 0)
+    assert asking.ask([7, 3], PATH, moments=8).along is None
+    slow, fast = (known(lambda: asking.ask(7, PATH, times=[50.0, 50.0 + t, 50.0 + 2 * t]))[0] for t in (90.0, 0.5))
+    assert abs(slow.duration_s - 180.0) < 0.2 and "late" not in (slow.caveats or "")
+    assert "times cannot be kept" in fast.caveats
+
+
 def test_a_speed_above_the_platforms_is_refused_and_infinity_is_none(asking):
     with pytest.raises(ValueError, match="3 m/s towards point 1.*at most 0.25 m/s.*v_max_mps"):
         asking.ask(7, PATH, speed=3)
@@ -190,6 +203,13 @@ REFUSED = [
     (lambda p: p.ask(7, PATH, speed=0.0), ValueError, "a speed of 0 m/s"),
     (lambda p: p.ask(7, PATH, speed=[1.0, 2.0]), ValueError, "speed has shape (2,), allowed: () or (3,)"),
     (lambda p: p.ask(7, PATH, back_to=(float("nan"), 0.0)), ValueError, "NaN"),
+    (lambda p: p.ask(7, PATH, dwell=[1.0]), ValueError, "dwell has shape (1,), allowed: (3,)"),
+    (lambda p: p.ask(7, PATH, dwell=[0.0, -1.0, 0.0]), ValueError, "dwell_s of point 1 is -1"),
+    (lambda p: p.ask(7, PATH, load=[0.0, float("nan"), 0.0]), ValueError, "load_w of point 1 is NaN"),
+    (lambda p: p.ask(7, PATH, times=[0.0, 2.0, 1.0]), ValueError, "times never fall"),
+    (lambda p: p.ask(7, PATH, tolerance=2.0), ValueError, "a tolerance of 2 m"),
+    (lambda p: p.ask(7, PATH, moments=300), ValueError, "300 moments along the plan: allowed are 256"),
+    (lambda p: p.ask(7, idle_s=1.0, dwell=[1.0]), ValueError, "are of a path"),
 ]
 
 

@@ -64,6 +64,7 @@ fn ask(config: &Config, answered: &AtomicU64, stop: &AtomicBool) {
         plan: Plan::Idle { robots: vec![0, 7, 19], duration_s: 10.0 },
         coverage: 0.9,
         power: false,
+        moments: 0,
     };
     while !stop.load(Ordering::Relaxed) {
         match client.ask(&question, PATIENCE) {

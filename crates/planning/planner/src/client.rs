@@ -153,7 +153,7 @@ impl PlanClient {
         timeout: Duration,
     ) -> Result<(Asked, QueryHeader, Vec<f64>), ClientError> {
         let (mut header, values) = question.encode(self.fleet)?;
-        let asked = Asked::now(timeout);
+        let asked = Asked { moments: question.moments, ..Asked::now(timeout) };
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;
         Ok((asked, header, values))
@@ -184,18 +184,20 @@ impl PlanClient {
 struct Asked {
     begun_ns: u64,
     deadline_ns: u64,
+    /// Of the question.
+    moments: usize,
 }
 
 impl Asked {
     fn now(timeout: Duration) -> Self {
         let begun_ns = clock::monotonic_ns();
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
-        Self { begun_ns, deadline_ns: begun_ns.saturating_add(timeout_ns) }
+        Self { begun_ns, deadline_ns: begun_ns.saturating_add(timeout_ns), moments: 0 }
     }
 
     fn answered(self, answer: &AnswerHeader, words: &[u64]) -> Result<Answered, ClientError> {
         Ok(Answered {
-            reply: Reply::decode(answer, words)?,
+            reply: Reply::decode(answer, words, self.moments)?,
             worker_epoch: answer.worker_epoch,
             tick: answer.tick,
             budget_tick: answer.budget_tick,
@@ -226,7 +228,7 @@ mod tests {
             sent_ns: 9_000,
             ..AnswerHeader::default()
         };
-        let asked = Asked { begun_ns: 1_200, deadline_ns: u64::MAX };
+        let asked = Asked { begun_ns: 1_200, deadline_ns: u64::MAX, moments: 0 };
         let answered = asked.answered(&answer, &[]);
         assert_eq!(answered.map(|answered| answered.age_ns).ok(), Some(8_000));
     }

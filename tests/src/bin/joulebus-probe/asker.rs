@@ -29,6 +29,7 @@ fn commands(robot: u32, candidates: usize, steps: usize) -> Question {
         },
         coverage: 0.9,
         power: true,
+        moments: 0,
     }
 }
 
@@ -44,6 +45,7 @@ fn path(robots: &[u32], length_m: f64) -> Question {
         },
         coverage: 0.9,
         power: robots.len() == 1,
+        moments: 0,
     }
 }
 
@@ -155,6 +157,7 @@ pub(crate) fn far(config: &Config, count: u64) -> Done {
         },
         coverage: 0.9,
         power: false,
+        moments: 0,
     };
     let most_age_ns = 2 * config.settings().platforms[0].period_ns;
     let mut answered = 0;

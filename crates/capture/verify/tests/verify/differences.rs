@@ -520,6 +520,7 @@ pub(crate) fn asked(messages: &[Message], tick: u64, number: u64, v_mps: f32) ->
         },
         coverage: 0.9,
         power: true,
+        moments: 0,
     };
     let fleet = fnv1a("lab".bytes());
     let (query, values) = question.encode(fleet).unwrap();

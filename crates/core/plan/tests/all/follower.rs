@@ -124,7 +124,7 @@ proptest! {
     ) {
         let points: Vec<Point> = corners.iter().map(|(x, y)| Point::new(*x, *y)).collect();
         let speed_mps = speeds[..points.len()].to_vec();
-        let path = Path { points, speed_mps, heading_rad };
+        let path = Path { points, speed_mps, heading_rad, ..Path::default() };
         let mut state = seed | 1;
         let draw = || {
             state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
@@ -199,6 +199,169 @@ proptest! {
             prop_assert!(beside_m <= 0.05, "{} m beside the curve", beside_m);
         }
     }
+}
+
+/// The cells of a grid that a line from the origin crosses, as a planner of four or of eight
+/// neighbours lists them. `cell_m` is their size.
+fn stairs(end: Point, cell_m: f64, has_diagonals: bool) -> Vec<Point> {
+    let count = |m: f64| (m.abs() / cell_m).round();
+    let (x, y) = (count(end.x_m), count(end.y_m));
+    let most = x.max(y).max(1.0);
+    let at =
+        |x: f64, y: f64| Point::new((cell_m * x).copysign(end.x_m), (cell_m * y).copysign(end.y_m));
+    let mut cells: Vec<(f64, f64)> = vec![(0.0, 0.0)];
+    for step in 1..=most as u32 {
+        let share = f64::from(step) / most;
+        let (before, next) = (cells[cells.len() - 1], ((x * share).round(), (y * share).round()));
+        if !has_diagonals && before.0 != next.0 && before.1 != next.1 {
+            cells.push((next.0, before.1));
+        }
+        cells.push(next);
+    }
+    cells.into_iter().map(|(x, y)| at(x, y)).collect()
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 96, ..ProptestConfig::default() })]
+
+    /// Start and goal lie anywhere, the cells between them on the grid. Points inserted on the stairs
+    /// change nothing.
+    #[test]
+    fn the_stairs_of_a_grid_cost_what_the_straight_way_costs(
+        x_m in 3.0f64..9.0,
+        y_m in -9.0f64..9.0,
+        cell_mm in 20u32..150,
+        has_diagonals in any::<bool>(),
+        inserted in 0u32..4,
+    ) {
+        let cell_m = f64::from(cell_mm) * 1e-3;
+        let cells = stairs(Point::new(x_m, y_m), cell_m, has_diagonals);
+        let mut points = vec![Point::new(-0.3 * cell_m, 0.2 * cell_m)];
+        for cell in cells.iter().copied().chain([Point::new(x_m, y_m)]) {
+            let from = points[points.len() - 1];
+            let share = |part: u32| f64::from(part) / f64::from(inserted + 1);
+            points.extend((1..=inserted + 1).map(|part| {
+                let share = share(part);
+                Point::new(from.x_m + share * (cell.x_m - from.x_m), from.y_m + share * (cell.y_m - from.y_m))
+            }));
+        }
+        let straight = Path::new(&[points[0], points[points.len() - 1]], 0.2);
+        let path = Path::new(&points, 0.2);
+        let platform = limited(0.25, 4.0);
+        let (whole, cut) = (cost(&platform, &straight), cost(&platform, &path));
+        prop_assert!((cut.1 / whole.1 - 1.0).abs() <= 0.03, "{:?} {:?} {:?}", whole, cut, path.simplified());
+        prop_assert!((cut.0 / whole.0 - 1.0).abs() <= 0.03, "{:?} {:?} {:?}", whole, cut, path.simplified());
+        if let Some(simplified) = path.simplified() {
+            prop_assert_eq!(simplified.points, points.len());
+            prop_assert!((simplified.within_m - 0.5 * cell_m).abs() < 1e-6);
+        }
+        // What is driven stays beside the stairs.
+        let followed = Follower::new(&platform).unwrap().follow(&path).unwrap();
+        for pose in &followed.poses {
+            let away_m = |pair: &[Point]| {
+                let (from, to) = (pair[0], pair[1]);
+                let (x, y) = (to.x_m - from.x_m, to.y_m - from.y_m);
+                let square = (x * x + y * y).max(1e-12);
+                let share = ((pose.at.x_m - from.x_m) * x + (pose.at.y_m - from.y_m) * y) / square;
+                let share = share.clamp(0.0, 1.0);
+                (pose.at.x_m - from.x_m - share * x).hypot(pose.at.y_m - from.y_m - share * y)
+            };
+            let beside_m = points.windows(2).map(away_m).fold(f64::INFINITY, f64::min);
+            prop_assert!(beside_m <= 0.5 * cell_m + 0.05, "{} m beside", beside_m);
+        }
+        prop_assert!(followed.leg_ends.is_sorted());
+    }
+
+    /// A path with times takes them, if they can be driven, however many points describe it.
+    #[test]
+    fn poses_with_times_keep_their_times(
+        corners in prop::collection::vec((-3.0f64..3.0, -3.0f64..3.0), 2..6),
+        speed_mps in 0.02f64..0.12,
+        begin_s in -1e6f64..1e9,
+        wait_s in 0.0f64..30.0,
+        spacing_mm in 5u32..1_000,
+    ) {
+        let corners: Vec<Point> = corners.iter().map(|(x, y)| Point::new(*x, *y)).collect();
+        let spacing_m = f64::from(spacing_mm) * 1e-3;
+        let mut path = Path { speed_mps: vec![f64::INFINITY], ..Path::default() };
+        let mut time_s = begin_s;
+        path.points.push(corners[0]);
+        path.time_s.push(time_s);
+        for pair in corners.windows(2) {
+            let length_m = (pair[1].x_m - pair[0].x_m).hypot(pair[1].y_m - pair[0].y_m);
+            let count = (length_m / spacing_m).ceil().max(1.0) as u32;
+            for part in 1..=count {
+                let share = f64::from(part) / f64::from(count);
+                path.points.push(Point::new(
+                    pair[0].x_m + share * (pair[1].x_m - pair[0].x_m),
+                    pair[0].y_m + share * (pair[1].y_m - pair[0].y_m),
+                ));
+                path.time_s.push(time_s + share * length_m / speed_mps);
+            }
+            // Time to turn, and to wait: the point again, later.
+            time_s = path.time_s[path.time_s.len() - 1] + wait_s + 2.5;
+            path.points.push(pair[1]);
+            path.time_s.push(time_s);
+        }
+        path.speed_mps.resize(path.points.len(), f64::INFINITY);
+        let followed = Follower::new(&limited(0.25, 4.0)).unwrap().follow(&path).unwrap();
+        prop_assert_eq!(followed.late_s, 0.0);
+        let taken_s = f64::from(followed.period_s) * followed.v_mps.len() as f64;
+        prop_assert!((taken_s - (time_s - begin_s)).abs() <= 0.1, "{} s for {}", taken_s, time_s - begin_s);
+    }
+}
+
+#[test]
+fn times_that_cannot_be_driven_are_reported_with_the_delay() {
+    let follower = follower(0.2, 3.0);
+    let points = [0.0, 2.0, 4.0].map(|x_m| Point::new(x_m, 0.0));
+    // 10 s a leg at the greatest speed.
+    for (time_s, late_s) in [
+        ([0.0, 10.0, 20.0], 0.0),
+        ([7.0, 27.0, 47.0], 0.0),
+        ([0.0, 5.0, 40.0], 5.0),
+        ([0.0, 5.0, 10.0], 10.0),
+        ([0.0, 0.0, 0.0], 20.0),
+    ] {
+        let path = Path { time_s: time_s.to_vec(), ..Path::new(&points, f64::INFINITY) };
+        let followed = follower.follow(&path).expect("it gets there");
+        // The last quarter of a metre takes a second more.
+        assert!((followed.late_s - late_s).abs() < 1.0, "{time_s:?}: {}", followed.late_s);
+        let taken_s = followed.period_s * followed.v_mps.len() as f32;
+        let expected_s = (time_s[2] - time_s[0]).max(20.0) as f32;
+        assert!((taken_s - expected_s).abs() < 1.0, "{time_s:?}: {taken_s} s");
+    }
+    let slow = Path { time_s: vec![0.0, 10.0, 20.0], ..Path::new(&points, 0.1) };
+    assert!((follower.follow(&slow).expect("it gets there").late_s - 20.0).abs() < 1.0);
+}
+
+#[test]
+fn a_robot_waits_at_a_point_and_the_load_is_drawn_on_its_leg() {
+    let follower = follower(0.2, 3.0);
+    let at = Point::new;
+    let points = [at(0.0, 0.0), at(1.0, 0.0), at(1.0, 0.0), at(2.0, 0.0)];
+    let still = Path::new(&points, 0.2);
+    let path = Path {
+        dwell_s: vec![3.0, 10.0, 5.0, 2.0],
+        load_w: vec![9.0, 0.0, 1.5, -0.5],
+        ..still.clone()
+    };
+    let followed = follower.follow(&path).expect("it gets there");
+    let rests = |from: usize, to: usize| {
+        followed.v_mps[from..to].iter().rev().take_while(|v_mps| **v_mps == 0.0).count() as f32
+    };
+    let ends = &followed.leg_ends;
+    let [first, second, third] = [(0, ends[0]), (ends[0], ends[1]), (ends[1], ends[2])];
+    for ((from, to), rest_s) in [(first, 10.0), (second, 5.0), (third, 2.0)] {
+        let rested_s = rests(from, to) * followed.period_s;
+        assert!((rested_s - rest_s).abs() < 0.1, "{rested_s} s of {rest_s} s");
+    }
+    assert!(followed.v_mps[..89].iter().all(|v_mps| *v_mps == 0.0));
+    assert_eq!(followed.load_w, [0.0, 1.5, -0.5]);
+    // The robot stops at the point where it waits, and does not pass it.
+    assert!(followed.poses[ends[0]].at.x_m <= 1.0);
+    let free = follower.follow(&still).expect("it gets there");
+    assert!(followed.v_mps.len() > free.v_mps.len() + 600);
 }
 
 #[test]
@@ -308,6 +471,22 @@ fn wrong_paths_are_refused_with_the_value() {
             panic!("{error}");
         };
         assert_eq!((column, point), ("y_m", 1));
+    }
+    let two = Path::new(&[at(0.0, 0.0), at(1.0, 0.0)], 0.1);
+    let [nan, inf] = [f64::NAN, f64::INFINITY];
+    for (path, expected) in [
+        (Path { dwell_s: vec![1.0], ..two.clone() }, "dwell_s has 1 values: allowed are none or 2"),
+        (Path { dwell_s: vec![0.0, -1.0], ..two.clone() }, "dwell_s of point 1 is -1.0"),
+        (Path { load_w: vec![nan, 0.0], ..two.clone() }, "load_w of point 0 is NaN"),
+        (Path { time_s: vec![0.0, inf], ..two.clone() }, "time_s of point 1 is inf"),
+        (Path { time_s: vec![2.0, 1.0], ..two.clone() }, "point 1 has the time 1 s"),
+        (Path { time_s: vec![0.0; 2], dwell_s: vec![1.0; 2], ..two.clone() }, "either time_s or"),
+        (Path { tolerance_m: Some(f32::NAN), ..two.clone() }, "a tolerance of NaN m"),
+        (Path { tolerance_m: Some(1.5), ..two.clone() }, "a tolerance of 1.5 m"),
+        (Path { dwell_s: vec![0.0, 1e11], ..two }, "as many as a path may have"),
+    ] {
+        let error = refused(&path).to_string();
+        assert!(error.contains(expected), "{error}");
     }
     for speed in [0.0, -0.1, f64::NAN] {
         let error = refused(&Path::new(&[at(0.0, 0.0), at(1.0, 0.0)], speed));

@@ -39,7 +39,7 @@ fn what_a_path_and_the_time_to_turn_back_cost() {
             }
             let alone_ms = begun.elapsed().as_secs_f64() * 1e3;
             let plan = Plan::Follow { robots: ids.clone(), path: path.clone(), back_to: Some(end) };
-            let question = Question { plan, coverage: 0.9, power: false };
+            let question = Question { plan, ..Question::default() };
             let find = |robot| Some(rows(robot));
             let begun = Instant::now();
             let mut work = Work::begin(question, find, MAX_QUERY_STEPS).unwrap();

@@ -49,9 +49,29 @@ fn questions() -> Vec<Question> {
         commands,
         idle,
         follow(&[7], Some(0.5), None),
+        Plan::Follow {
+            robots: vec![7],
+            path: Path { time_s: vec![3.0, 4.0, 60.0], tolerance_m: Some(0.025), ..path() },
+            back_to: None,
+        },
+        Plan::Follow {
+            robots: vec![7],
+            path: Path {
+                dwell_s: vec![0.0, 4.0, 2.0],
+                load_w: vec![0.0, 0.5, -0.2],
+                tolerance_m: Some(0.0),
+                ..path()
+            },
+            back_to: Some(Point::new(0.0, 0.0)),
+        },
         follow(&[9, 7, 3], None, Some(Point::new(0.1, -0.0))),
     ];
-    let question = |plan| Question { plan, coverage: 0.9, power: true };
+    let question = |plan| Question {
+        moments: if matches!(plan, Plan::WhatIf { .. }) { 0 } else { 4 },
+        plan,
+        coverage: 0.9,
+        power: true,
+    };
     plans.into_iter().map(question).collect()
 }
 
@@ -64,13 +84,14 @@ fn questions_and_replies_survive_their_payloads() {
     for question in questions() {
         let (header, values) = question.encode(FLEET).unwrap();
         assert_eq!(Question::decode(&header, &values, FLEET).as_ref(), Ok(&question));
+        let moments = question.moments;
         let find = |robot| Some(rows(&robots, robot));
         let reply = question.clone().answer(&fleet, find, MAX_QUERY_STEPS).unwrap();
         assert!(!reply.rows.is_empty());
         let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
         header.schema = SCHEMA_VERSION;
         reply.encode(&mut header, &mut words);
-        assert_eq!(Reply::decode(&header, &words), Ok(reply), "{question:?}");
+        assert_eq!(Reply::decode(&header, &words, moments), Ok(reply), "{question:?}");
     }
 }
 
@@ -138,6 +159,7 @@ fn a_yes_whose_state_is_stale_when_the_answer_is_sent_is_unknown() {
             },
             coverage: 0.9,
             power: false,
+            moments: 0,
         };
         let mut work = Work::begin(question, of, MAX_QUERY_STEPS).unwrap();
         while !work.step(&fleet).unwrap() {}
@@ -166,6 +188,7 @@ fn straight(robots: &[u32]) -> Question {
         },
         coverage: 0.9,
         power: false,
+        moments: 0,
     }
 }
 
@@ -223,7 +246,7 @@ fn robots_that_are_not_there_and_paths_that_take_too_long_are_refused() {
     let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
     header.schema = SCHEMA_VERSION;
     refused.encode(&mut header, &mut words);
-    assert_eq!(Reply::decode(&header, &words), Err(refused));
+    assert_eq!(Reply::decode(&header, &words, 0), Err(refused));
 }
 
 proptest! {
@@ -238,7 +261,6 @@ proptest! {
             (header.schema, header.fleet) = (SCHEMA_VERSION, FLEET);
             header.kind = 1 + header.kind % 3;
             header.flags &= 7;
-            header.reserved = 0;
             header.robots %= 3;
             header.candidates %= 3;
             header.steps %= 4;
@@ -259,7 +281,7 @@ proptest! {
         header.schema = SCHEMA_VERSION;
         for refusal in [header.refusal, 0] {
             header.refusal = refusal;
-            let _ = Reply::decode(&header, &words);
+            let _ = Reply::decode(&header, &words, 3);
         }
     }
 }

@@ -3,8 +3,8 @@
 use crate::world::{PERIOD_NS, Rows, fleet, model, platform};
 use joulebus_energy::{Commands, EnergyModel, HORIZONS_S};
 use joulebus_plan::{
-    Answer, AskError, Candidates, Differs, Fleet, Frames, Path, PathError, Platform, Point, Robot,
-    Trip, Unknown, Verdict, rank, rank_each,
+    Answer, AskError, Candidates, Differs, Fleet, Frames, Path, PathError, Plan, Platform, Point,
+    Question, Robot, RobotRows, Trip, Unknown, Verdict, rank, rank_each,
 };
 use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag, plan_state_flag};
 use proptest::prelude::*;
@@ -672,5 +672,82 @@ fn a_row_of_no_robot_of_its_platform_is_none() {
         let frames =
             Frames { header: &rows.header, state: &rows.state, budget: None, now_ns: rows.now_ns };
         assert!(fleet.robot(&frames).is_none(), "{robot} {platform}");
+    }
+}
+
+#[test]
+fn loads_and_docking_add_their_energy_to_the_trip_and_to_the_time_to_turn_back() {
+    let mut platform = platform();
+    let set_docking = |platform: &mut Platform, docking_j| {
+        platform.settings.battery.as_mut().expect("it has a battery").docking_j = docking_j;
+    };
+    let (dock, end) = (Point::new(0.0, 0.0), Point::new(3.0, 0.0));
+    let path = Path::new(&[dock, Point::new(1.0, 0.0), end], 0.15);
+    let loaded = Path { load_w: vec![0.0, 2.0, -0.5], ..path.clone() };
+    let trip = |platform: &Platform, path: &Path, back_to, usable_j| {
+        let fleet = Fleet::of(vec![platform.clone()], 1);
+        Rows::with_usable(usable_j).robot(&fleet).can_finish(path, back_to, 0.9).expect("allowed")
+    };
+    let mean_j = |trip: &Trip| trip.answer.energy.expect("known").mean_j;
+    let plain = trip(&platform, &path, Some(dock), 10_000.0);
+    let with_load = trip(&platform, &loaded, Some(dock), 10_000.0);
+    let legs_s: Vec<f32> = [0, 1]
+        .map(|leg| {
+            let ends = &plain.commands.leg_ends;
+            (ends[leg] - if leg == 0 { 0 } else { ends[leg - 1] }) as f32 * plain.commands.period_s
+        })
+        .to_vec();
+    let added_j = 2.0 * legs_s[0] - 0.5 * legs_s[1];
+    assert!((mean_j(&with_load) - mean_j(&plain) - added_j).abs() < 0.01);
+    set_docking(&mut platform, 25.0);
+    let docked = trip(&platform, &path, Some(dock), 10_000.0);
+    let (before, after) = (plain.answer.energy.unwrap(), docked.answer.energy.unwrap());
+    for (before, after) in
+        [(before.lo_j, after.lo_j), (before.mean_j, after.mean_j), (before.hi_j, after.hi_j)]
+    {
+        assert!((after - before - 25.0).abs() < 0.01, "{before} {after}");
+    }
+    // Who does not return does not dock.
+    let one_way = trip(&platform, &path, None, 10_000.0);
+    assert!(mean_j(&one_way) < 0.6 * mean_j(&plain));
+    // What docking takes is missing on the way: the robot turns back earlier, or not at all.
+    let mut turned = |docking_j| {
+        set_docking(&mut platform, docking_j);
+        trip(&platform, &path, Some(dock), 160.0).turn_back_s
+    };
+    let (late, early, never) = (turned(0.0), turned(25.0), turned(500.0));
+    assert!(late.is_some() && early.is_some() && early < late && never.is_none());
+}
+
+#[test]
+fn the_moments_of_a_trip_are_answers_to_its_parts_and_the_last_is_the_whole() {
+    let fleet = fleet();
+    let rows = Rows::with_usable(2_000.0);
+    let find = |_| {
+        let budget = Some((rows.budget_header, rows.budget));
+        Some(RobotRows { header: rows.header, state: rows.state, budget, now_ns: rows.now_ns })
+    };
+    let path = Path {
+        dwell_s: vec![0.0, 30.0, 0.0],
+        load_w: vec![0.0, 1.0, 0.0],
+        ..Path::new(&[Point::new(0.0, 0.0), Point::new(2.0, 0.0), Point::new(2.0, 1.0)], 0.15)
+    };
+    let back_to = Some(Point::new(0.0, 0.0));
+    let plans = [
+        Plan::Follow { robots: vec![7], path, back_to },
+        Plan::Idle { robots: vec![7], duration_s: 120.0 },
+    ];
+    for plan in plans {
+        let question = Question { plan, moments: 40, ..Question::default() };
+        let reply = question.answer(&fleet, find, joulebus_plan::MAX_STEPS).expect("answered");
+        let (whole, along) = (reply.rows[0].answer, &reply.along);
+        assert_eq!(along.len(), 40);
+        assert_eq!(along[39].answer, whole);
+        for pair in along.windows(2) {
+            let [before, after] = [pair[0].answer, pair[1].answer];
+            assert!(before.duration_s < after.duration_s);
+            assert!(before.left.unwrap().mean_j > after.left.unwrap().mean_j);
+            assert!(before.margin_j > after.margin_j);
+        }
     }
 }

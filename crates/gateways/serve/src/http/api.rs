@@ -352,9 +352,13 @@ async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
         RowsError::UnknownRobot(_) => ApiError::new(StatusCode::NOT_FOUND, error.to_string()),
         error => ApiError::busy(error.to_string()),
     })?;
-    let (coverage, of) = (question.coverage, rows.first().copied());
+    let simplified = match &question.plan {
+        joulebus_plan::Plan::Follow { path, .. } => path.simplified(),
+        _ => None,
+    };
+    let (stated, of) = ((question.coverage, simplified), rows.first().copied());
     let reply = app.questions.answer(permit, question, rows).await?;
-    Ok(json(&report(&app.config, coverage, of.as_ref(), &reply)))
+    Ok(json(&report(&app.config, stated, of.as_ref(), &reply)))
 }
 
 /// The body of a request, which is JSON.

@@ -11,7 +11,7 @@ use joulebus_config::Config;
 use joulebus_models::load_models;
 use joulebus_plan::answering::Work;
 use joulebus_plan::report::{AnswerReport, AnswersReport};
-use joulebus_plan::{Fleet, Question, Reply, RobotRows};
+use joulebus_plan::{Fleet, Question, Reply, RobotRows, Simplified};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
 
 use super::error::ApiError;
@@ -159,18 +159,23 @@ fn in_time(
 /// An answer as clients get it.
 pub(super) fn report(
     config: &Config,
-    coverage: f32,
+    (coverage, path): (f32, Option<Simplified>),
     rows: Option<&RobotRows>,
     reply: &Reply,
 ) -> AnswersReport {
-    let answers = reply.ranked().into_iter();
+    let answers = reply.ranked().into_iter().map(|row| {
+        let mut answer = AnswerReport::new(config.settings(), row);
+        answer.set_along(config.settings(), &reply.along);
+        answer
+    });
     AnswersReport {
         fleet: config.fleet().to_owned(),
         tick: rows.map_or(0, |rows| rows.header.tick),
         age_s: rows
             .map_or(0.0, |rows| rows.now_ns.saturating_sub(rows.header.sent_ns) as f64 * 1e-9),
         coverage,
-        answers: answers.map(|row| AnswerReport::new(config.settings(), row)).collect(),
+        path,
+        answers: answers.collect(),
         missing: Vec::new(),
     }
 }

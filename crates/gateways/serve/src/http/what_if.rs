@@ -5,6 +5,8 @@ use serde::Deserialize;
 
 /// Maximum number of robots in a question.
 const MAX_ROBOTS: usize = 64;
+/// Moments along a trip.
+const MOMENTS: usize = 48;
 /// Maximum number of points of a path.
 const MAX_POINTS: usize = 10_000;
 
@@ -24,6 +26,9 @@ pub(super) struct Asked {
     /// Return afterwards.
     #[serde(rename = "return")]
     back: Option<ReturnTo>,
+    /// Distance from the path within which corners are cut, m. Without it, the stairs of a grid within
+    /// half a cell.
+    tolerance_m: Option<f32>,
     /// Coverage of the intervals.
     #[serde(default = "usual_coverage")]
     coverage: f32,
@@ -36,6 +41,12 @@ struct Waypoint {
     x_m: f64,
     y_m: f64,
     speed_mps: Option<f64>,
+    /// Time that the robot waits there, s.
+    dwell_s: Option<f64>,
+    /// Power that it draws in addition on the way there and while it waits, W.
+    load_w: Option<f64>,
+    /// When it is there, s. All points have one, or none has.
+    time_s: Option<f64>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -65,11 +76,19 @@ impl Asked {
             return Err(format!("{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"));
         }
         let plan = match (self.path, self.idle_s) {
-            (Some(waypoints), None) => follow(robots, &waypoints, self.back.as_ref())?,
-            (None, Some(duration_s)) if self.back.is_none() => Plan::Idle { robots, duration_s },
-            _ => return Err("give either path, and return if wanted, or idle_s".to_owned()),
+            (Some(waypoints), None) => {
+                follow(robots, &waypoints, self.back.as_ref(), self.tolerance_m)?
+            }
+            (None, Some(duration_s)) if self.back.is_none() && self.tolerance_m.is_none() => {
+                Plan::Idle { robots, duration_s }
+            }
+            _ => {
+                let allowed = "give either path, with return and tolerance_m if wanted, or idle_s";
+                return Err(allowed.to_owned());
+            }
         };
-        Ok(Question { plan, coverage: self.coverage, power: false })
+        let moments = if plan.robots().len() == 1 { MOMENTS } else { 0 };
+        Ok(Question { plan, coverage: self.coverage, power: false, moments })
     }
 }
 
@@ -77,6 +96,7 @@ fn follow(
     robots: Vec<u32>,
     waypoints: &[Waypoint],
     back: Option<&ReturnTo>,
+    tolerance_m: Option<f32>,
 ) -> Result<Plan, String> {
     if !(2..=MAX_POINTS).contains(&waypoints.len()) {
         let found = waypoints.len();
@@ -85,12 +105,24 @@ fn follow(
         ));
     }
     let point = |waypoint: &Waypoint| Point::new(waypoint.x_m, waypoint.y_m);
+    let column = |of: fn(&Waypoint) -> Option<f64>| {
+        let stated = waypoints.iter().any(|waypoint| of(waypoint).is_some());
+        let values = waypoints.iter().filter(|_| stated).map(of);
+        values.map(|value| value.unwrap_or(0.0)).collect()
+    };
+    let with_times = waypoints.iter().filter(|waypoint| waypoint.time_s.is_some()).count();
+    if !(with_times == 0 || with_times == waypoints.len()) {
+        let count = waypoints.len();
+        return Err(format!("{with_times} of {count} points have time_s: give it to all or none"));
+    }
+    let speed_mps = |waypoint: &Waypoint| waypoint.speed_mps.unwrap_or(f64::INFINITY);
     let path = Path {
         points: waypoints.iter().map(point).collect(),
-        speed_mps: waypoints
-            .iter()
-            .map(|waypoint| waypoint.speed_mps.unwrap_or(f64::INFINITY))
-            .collect(),
+        speed_mps: waypoints.iter().map(speed_mps).collect(),
+        dwell_s: column(|waypoint| waypoint.dwell_s),
+        load_w: column(|waypoint| waypoint.load_w),
+        time_s: column(|waypoint| waypoint.time_s),
+        tolerance_m,
         heading_rad: None,
     };
     let back_to = back.map(|back| match back {

@@ -280,7 +280,7 @@ pub struct joulebus_question {
     /// JOULEBUS_QUERY_KIND_WHAT_IF: candidates of one robot. IDLE: robots that stand still. FOLLOW:
     /// robots that follow a path, which are answered the best first.
     pub kind: u32,
-    /// JOULEBUS_QUERY_RETURN and HEADING, of FOLLOW.
+    /// JOULEBUS_QUERY_RETURN, HEADING and TOLERANCE, of FOLLOW.
     pub flags: u32,
     /// Coverage of the intervals, 0.5 to 0.999.
     pub coverage: f32,
@@ -288,13 +288,16 @@ pub struct joulebus_question {
     pub period_s: f32,
     /// For IDLE: the time, s.
     pub duration_s: f32,
-    /// 0.
-    pub reserved: u32,
+    /// Distance from the path within which corners are cut, m, with JOULEBUS_QUERY_TOLERANCE. Else
+    /// the stairs of a grid within half a cell.
+    pub tolerance_m: f32,
     /// Ids of the robots.
     pub robots: *const u32,
     /// How many. One of WHAT_IF.
     pub robot_count: usize,
-    /// For WHAT_IF: number of candidates.
+    /// For WHAT_IF: number of candidates. For IDLE and FOLLOW of one robot: number of evenly spaced
+    /// moments, at most 256, up to each of which its part of the plan is answered in a row of its own,
+    /// after that of the whole.
     pub candidates: usize,
     /// For WHAT_IF: steps of each.
     pub steps: usize,
@@ -311,8 +314,16 @@ pub struct joulebus_question {
     /// Where to return to, m.
     pub return_y_m: f64,
     /// Heading at the first point, rad, counter-clockwise from east, with JOULEBUS_QUERY_HEADING.
-    /// Else towards the second point.
+    /// Else towards the first point that is elsewhere.
     pub heading_rad: f64,
+    /// For FOLLOW: time that the robot waits at each point, s. NULL: none.
+    pub dwell_s: *const f64,
+    /// For FOLLOW: power that the robot draws in addition on the way to each point and while it waits
+    /// there, W. NULL: none.
+    pub load_w: *const f64,
+    /// For FOLLOW: when the robot is at each point, s, from the first. Speeds are then upper limits.
+    /// NULL: no times.
+    pub time_s: *const f64,
 }
 
 /// Memory for answers, and which frames they are computed from.

@@ -109,16 +109,20 @@ class QuestionPorts:
         power: bool,
         timeout_s: float,
     ) -> dict[str, Any]: ...
-    def idle(self, robots: ArrayLike, duration_s: float, coverage: float, timeout_s: float) -> dict[str, Any]: ...
+    def idle(
+        self, robots: ArrayLike, duration_s: float, coverage: float, moments: int, timeout_s: float
+    ) -> dict[str, Any]: ...
     def follow(
         self,
         robots: ArrayLike,
         points: ArrayLike,
         speed: ArrayLike,
-        heading_rad: float | None,
+        columns: list[ArrayLike | None],
+        heading_and_tolerance: tuple[float | None, float | None],
         back_to: tuple[float, float] | None,
         coverage: float,
         power: bool,
+        moments: int,
         timeout_s: float,
     ) -> dict[str, Any]: ...
     def close(self) -> None: ...

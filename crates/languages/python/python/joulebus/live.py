@@ -325,8 +325,13 @@ class Planner(_Connection):
         speed: Any = float("inf"),
         heading: float | None = None,
         back_to: tuple[float, float] | None = None,
+        dwell: Any = None,
+        load: Any = None,
+        times: Any = None,
+        tolerance: float | None = None,
         coverage: float = 0.9,
         power: bool = False,
+        moments: int = 0,
         timeout: float = 1.0,
     ) -> Answers:
         """What a path, or `idle_s` seconds at rest, cost one robot or several, and whether their
@@ -337,16 +342,30 @@ class Planner(_Connection):
         point. ``ValueError`` if one is above the platform's. Infinity, the default, is the highest
         speed that the model was trained on. `heading` (rad) is that at the first point. With
         `back_to` the path back counts too, and ``turn_back_s`` is the latest time to turn back
-        unless the answer is a yes. The best robot is first. `power` is possible for one robot only.
+        unless the answer is a yes. The best robot is first. `power` and `moments` are possible for
+        one robot only.
+
+        Each point may have a `dwell` (s, the robot waits there), a `load` (W, drawn in addition on
+        the way there and while it waits) and a time in `times` (s, when it is there; speeds are
+        then upper limits, and ``caveats`` says if the robot is more than a second late). Corners
+        are cut within `tolerance` (m). Without it the stairs of a grid are, within half a cell.
+        With `moments`, ``along`` has the answers to the parts of the trip up to so many evenly
+        spaced moments.
         """
         if (path is None) == (idle_s is None):
             raise ValueError("ask takes either a path or idle_s")
         ids, asked = np.atleast_1d(np.asarray(robots)), self._asked()
         if path is None:
-            if power or back_to is not None or heading is not None:
-                raise ValueError("power, back_to and heading are of a path")
-            return Answers(asked.idle(ids, idle_s, coverage, timeout))
-        return Answers(asked.follow(ids, path, speed, heading, back_to, coverage, power, timeout))
+            of_path = (back_to, heading, dwell, load, times, tolerance)
+            if power or any(value is not None for value in of_path):
+                raise ValueError(
+                    "power, back_to, heading, dwell, load, times and tolerance are of a path"
+                )
+            return Answers(asked.idle(ids, idle_s, coverage, moments, timeout))
+        columns, more = [dwell, load, times], (heading, tolerance)
+        return Answers(
+            asked.follow(ids, path, speed, columns, more, back_to, coverage, power, moments, timeout)
+        )
 
     def acknowledge(
         self, robot: int, alarm: str, by: str, *, new_normal: bool = False, timeout: float = 5.0

@@ -53,13 +53,16 @@ class Answers:
     Each field of `Answer` is an array here. Unknown values are NaN (−1 as ``limiting_leg``, None as
     a text). There is one element for each candidate, in the order of the candidates, or for each
     robot. If robots follow a path, the best robot is first. ``power_w``, if it was asked for, is
-    the power of every step, W: ``(candidates, steps)``.
+    the power of every step, W: ``(candidates, steps)``. ``along``, if moments were asked for, has
+    the answers to the parts of the trip up to each moment.
     """
 
     def __init__(self, told: dict[str, Any]) -> None:
         self.tick: int = told["tick"]
         self.age_s: float = told["age_s"]
         self.power_w: np.ndarray | None = told.get("power_w")
+        along = told.get("along")
+        self.along: Answers | None = along and Answers({**along, "tick": self.tick, "age_s": self.age_s})
         for name in _COLUMNS:
             column = told[name]
             setattr(self, name, np.array(column, object if name != "verdict" else "U7") if name in _TEXTS else column)

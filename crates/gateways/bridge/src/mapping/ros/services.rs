@@ -109,7 +109,8 @@ fn id(robots: &Robots, name: &str) -> Result<u32, String> {
 }
 
 fn question(request: WhatIfRequest, robots: &Robots) -> Result<Question, String> {
-    let WhatIfRequest { path, speed_mps, v_mps, omega_radps, .. } = request;
+    let WhatIfRequest { path, speed_mps, dwell_s, load_w, time_s, v_mps, omega_radps, .. } =
+        request;
     let names = request.robots.iter();
     let ids = names.map(|name| id(robots, name)).collect::<Result<Vec<u32>, String>>()?;
     let commands = v_mps.len().max(omega_radps.len());
@@ -117,9 +118,13 @@ fn question(request: WhatIfRequest, robots: &Robots) -> Result<Question, String>
     if given.iter().filter(|is_given| **is_given).count() != 1 {
         return Err("give one of path, idle_s, or v_mps with omega_radps".to_owned());
     }
-    for (name, is_given) in
-        [("return_to_start", request.return_to_start), ("speed_mps", !speed_mps.is_empty())]
-    {
+    for (name, is_given) in [
+        ("return_to_start", request.return_to_start),
+        ("speed_mps", !speed_mps.is_empty()),
+        ("dwell_s", !dwell_s.is_empty()),
+        ("load_w", !load_w.is_empty()),
+        ("time_s", !time_s.is_empty()),
+    ] {
         if is_given && path.is_empty() {
             return Err(format!("{name} belongs to a path"));
         }
@@ -136,7 +141,7 @@ fn question(request: WhatIfRequest, robots: &Robots) -> Result<Question, String>
             let points = path.iter().map(|point| Point::new(point.x, point.y)).collect();
             let speed_mps =
                 if speed_mps.is_empty() { vec![f64::INFINITY; count] } else { speed_mps };
-            let path = Path { points, speed_mps, heading_rad: None };
+            let path = Path { points, speed_mps, dwell_s, load_w, time_s, ..Path::default() };
             Plan::Follow { robots: ids, path, back_to }
         }
         ([robot], []) if commands > 0 => {
@@ -150,7 +155,7 @@ fn question(request: WhatIfRequest, robots: &Robots) -> Result<Question, String>
         (_, []) if commands > 0 => return Err("commands are of one robot".to_owned()),
         _ => Plan::Idle { robots: ids, duration_s: request.idle_s },
     };
-    Ok(Question { plan, coverage: request.coverage, power: false })
+    Ok(Question { plan, coverage: request.coverage, ..Question::default() })
 }
 
 fn acknowledgement(request: AcknowledgeRequest, robots: &Robots) -> Result<Request, String> {
@@ -210,6 +215,9 @@ mod tests {
             coverage: 0.9,
             path: Vec::new(),
             speed_mps: Vec::new(),
+            dwell_s: Vec::new(),
+            load_w: Vec::new(),
+            time_s: Vec::new(),
             return_to_start: false,
             idle_s: 0.0,
             candidates: 1,
@@ -233,7 +241,7 @@ mod tests {
     fn a_request_is_a_path_a_time_at_rest_or_commands() {
         let idle = WhatIfRequest { idle_s: 60.0, ..asked() };
         let plan = Plan::Idle { robots: vec![2], duration_s: 60.0 };
-        let question = Question { plan, coverage: 0.9, power: false };
+        let question = Question { plan, ..Question::default() };
         assert_eq!(read(Service::WhatIf, &idle), Ok(Request::Ask(question)));
         let robots = ["r3", "r1"].map(str::to_owned).to_vec();
         let followed = WhatIfRequest { robots, path: path(), return_to_start: true, ..asked() };
@@ -241,7 +249,7 @@ mod tests {
             panic!("{followed:?}")
         };
         let points = vec![Point::new(1.0, 0.5), Point::new(2.0, 0.5)];
-        let path = Path { points, speed_mps: vec![f64::INFINITY; 2], heading_rad: None };
+        let path = Path::new(&points, f64::INFINITY);
         let back_to = Some(Point::new(1.0, 0.5));
         assert_eq!(question.plan, Plan::Follow { robots: vec![3, 1], path, back_to });
         let (v_mps, omega_radps) = (vec![0.1, 0.2], vec![0.0, 0.5]);

@@ -208,6 +208,9 @@ class WhatIf_Request_(IdlStruct, typename="joulebus_msgs::srv::dds_::WhatIf_Requ
     coverage: float32 = 0.9
     path: sequence[Vector3_] = dataclasses.field(default_factory=list)
     speed_mps: sequence[float64] = dataclasses.field(default_factory=list)
+    dwell_s: sequence[float64] = dataclasses.field(default_factory=list)
+    load_w: sequence[float64] = dataclasses.field(default_factory=list)
+    time_s: sequence[float64] = dataclasses.field(default_factory=list)
     return_to_start: bool = False
     idle_s: float32 = 0.0
     candidates: uint32 = 1
