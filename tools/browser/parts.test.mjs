@@ -9,7 +9,8 @@ import * as format from "./page/format.js";
 import { niceAbove } from "./page/list.js";
 import { fan, rows } from "./page/outlook.js";
 import { parseEvent } from "./page/stream.js";
-import { question } from "./page/what_if.js";
+import { ticks } from "./page/fan.js";
+import { along, points, question } from "./page/what_if.js";
 
 const plain = (text) => text.replaceAll("\u202f", " ").replaceAll("\u2212", "-");
 
@@ -42,12 +43,12 @@ test("the fan has a point for each horizon and a band as far as there are bounds
   };
   const all = rows(outlook);
   assert.deepEqual(all[1], { horizonS: 10, energy: 40, lo: 30, hi: 50, watts: 4, loW: 3, hiW: 5 });
-  const { line, band } = fan(all, 400, 100);
-  assert.deepEqual(line.map(([x]) => x), [50, 150, 250, 350]);
-  assert.ok(line.every(([, y]) => Math.abs(y - 20) < 1e-9), "4 of 5 W");
-  assert.deepEqual(band.map(([x]) => x), [50, 150, 150, 50]);
+  const { line, band, x, y } = fan(all);
+  assert.deepEqual(line, [[0, 4], [1, 4], [2, 4], [3, 4]]);
+  assert.deepEqual(band, [[0, 5], [1, 5], [1, 3], [0, 3]]);
+  assert.deepEqual([x.ticks.map(([at]) => at), y.ticks.map(([watts]) => watts), y.range], [[0, 1, 2, 3], [0, 2, 4], [0, 5]]);
   const unknown = { ...outlook, energy_j: [null, null, null, null] };
-  assert.deepEqual(fan(rows(unknown), 400, 100).line, []);
+  assert.deepEqual(fan(rows(unknown)), null);
 });
 
 test("an unknown charge has a hint, once the robot's energy is counted", () => {
@@ -127,4 +128,31 @@ test("the form asks what it shows", () => {
   assert.deepEqual(question(7, { plan: "idle", idle_s: "60" }), { robot: 7, idle_s: 60 });
   assert.deepEqual(question(7, { plan: "drive", length_m: "2", speed_mps: "0.2", back: "on" }),
     { robot: 7, path: [{ x_m: 0, y_m: 0 }, { x_m: 2, y_m: 0, speed_mps: 0.2 }], return: "dock" });
+  assert.deepEqual(question(7, { plan: "path", path: "0 0\n2 1" }), { robot: 7, path: [{ x_m: 0, y_m: 0 }, { x_m: 2, y_m: 1 }] });
+});
+
+test("a pasted path has lines of numbers or the columns of a path file", () => {
+  const [dock, end] = [{ x_m: 0, y_m: 0 }, { x_m: 2, y_m: -1.5 }];
+  for (const pasted of ["0,0\n2,-1.5", "0 0\r\n\r\n2  -1.5\n", "0;0\n2;-1.5", "x_m,y_m\n0,0\n2,-1.5"]) {
+    assert.deepEqual(points(pasted), [dock, end], pasted);
+  }
+  assert.deepEqual(points("y_m,x_m,dwell_s\n0,0,\n-1.5,2,30"), [dock, { ...end, dwell_s: 30 }]);
+  for (const [pasted, said] of [
+    ["", "two points"], ["0,0", "two points"], ["0,0\n1,one", "y_m of point 2"], ["x_m,z_m\n0,0\n1,1", "“z_m”"],
+    ["x_m,y_m\n0,0,0\n1,1", "Point 1 has 3"],
+  ]) {
+    assert.throws(() => points(pasted), (error) => error.message.includes(said), pasted);
+  }
+});
+
+test("a trip is drawn as its charge, or as its energy where the charge is unknown", () => {
+  const energy = (mean_j) => ({ mean_j, lo_j: 0.9 * mean_j, hi_j: 1.2 * mean_j });
+  const moments = [1, 2].map((at) => ({ time_s: 60 * at, energy: energy(100 * at), charge: [1 - 0.1 * at, 1 - 0.2 * at, 1] }));
+  assert.deepEqual(along(moments).line.map(([time, percent]) => [time, Math.round(percent)]), [[60, 90], [120, 80]]);
+  assert.equal(along(moments).band.length, 4);
+  const unknown = moments.map((moment) => ({ ...moment, charge: null }));
+  assert.deepEqual(along(unknown).line, [[60, 100], [120, 200]]);
+  assert.deepEqual(along(unknown).y.range, [0, 240]);
+  for (const none of [undefined, [], [{ time_s: 1, energy: null, charge: null }]]) assert.equal(along(none), null);
+  assert.deepEqual([ticks(0, 100, 2), ticks(-3, 7), ticks(0, 0), ticks(0, NaN)], [[0, 50, 100], [0, 5], [], []]);
 });

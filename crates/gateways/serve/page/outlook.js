@@ -1,11 +1,8 @@
 // The energy that a robot will draw if it goes on as it does: a fan of the mean power over each
 // horizon, and its energy.
 
+import { Fan, ticks } from "./fan.js";
 import * as format from "./format.js";
-
-const SVG = "http://www.w3.org/2000/svg";
-const WIDTH = 400;
-const HEIGHT = 90;
 
 /**
  * Rows of an outlook: horizon, energy and bounds in J, and their mean powers in W. What is unknown
@@ -20,42 +17,34 @@ export function rows(outlook) {
 }
 
 /**
- * Points of the fan in a box: those of the line, and the outline of the band. The horizons have
- * equal distances.
+ * The fan's line, the outline of its band, and its axes. The horizons have equal distances. `null` if
+ * no power is known.
  */
-export function fan(all, width, height) {
-  const known = all.filter((row) => format.isKnown(row.watts));
-  if (known.length === 0) return { line: [], band: [] };
-  const values = known.flatMap((row) => [row.watts, row.loW, row.hiW]).filter(format.isKnown);
-  const [least, most] = [Math.min(0, ...values), Math.max(...values, 1e-9)];
-  const x = (at) => (width * (at + 0.5)) / all.length;
-  const y = (watts) => height * (1 - (watts - least) / (most - least));
-  const points = (value) => all.flatMap((row, at) => (format.isKnown(row[value]) ? [[x(at), y(row[value])]] : []));
-  return { line: points("watts"), band: [...points("hiW"), ...points("loW").reverse()] };
+export function fan(all) {
+  const values = all.flatMap((row) => [row.watts, row.loW, row.hiW]).filter(format.isKnown);
+  if (!all.some((row) => format.isKnown(row.watts))) return null;
+  const range = [Math.min(0, ...values), Math.max(...values, 1e-9)];
+  const points = (value) => all.flatMap((row, at) => (format.isKnown(row[value]) ? [[at, row[value]]] : []));
+  return {
+    line: points("watts"),
+    band: [...points("hiW"), ...points("loW").reverse()],
+    x: { range: [-0.5, all.length - 0.5], ticks: all.map((row, at) => [at, format.duration(row.horizonS)]) },
+    y: { range, ticks: ticks(...range).map((watts) => [watts, format.watts(watts)]) },
+    label: all.map((row) => `${format.duration(row.horizonS)}: ${format.energy(row.energy)}`).join(", "),
+  };
 }
-
-const text = (points) => points.map((point) => point.map((value) => value.toFixed(1)).join(",")).join(" ");
 
 export class OutlookView {
   constructor(root) {
-    this.box = root.querySelector('[data-outlook="fan"]');
+    this.fan = new Fan(root.querySelector('[data-outlook="fan"]'));
     this.table = root.querySelector('[data-outlook="rows"]');
-    const shape = (kind) => document.createElementNS(SVG, kind);
-    this.svg = shape("svg");
-    this.svg.setAttribute("viewBox", `0 0 ${WIDTH} ${HEIGHT}`);
-    this.svg.setAttribute("preserveAspectRatio", "none");
-    this.svg.setAttribute("aria-hidden", "true");
-    [this.band, this.line] = [shape("polygon"), shape("polyline")];
-    this.svg.append(this.band, this.line);
-    this.box.append(this.svg);
-    this.clear();
   }
 
   show(outlook) {
     const all = rows(outlook);
-    const { line, band } = fan(all, WIDTH, HEIGHT);
-    this.line.setAttribute("points", text(line));
-    this.band.setAttribute("points", text(band));
+    const drawn = fan(all);
+    if (drawn) this.fan.show(drawn);
+    else this.fan.clear("no values yet");
     this.table.replaceChildren(...all.map((row) => {
       const item = document.createElement("div");
       for (const [kind, value] of [
@@ -67,13 +56,10 @@ export class OutlookView {
       item.lastChild.className = "bound";
       return item;
     }));
-    this.box.ariaLabel = all.map((row) => `${format.duration(row.horizonS)}: ${format.energy(row.energy)}`).join(", ");
   }
 
   clear() {
-    this.line.removeAttribute("points");
-    this.band.removeAttribute("points");
+    this.fan.clear("no values yet");
     this.table.replaceChildren();
-    this.box.ariaLabel = "no values yet";
   }
 }

@@ -30,6 +30,7 @@ static PAGE: &[File] = &[
     file!("board.js", JS),
     file!("card.js", JS),
     file!("charts.js", JS),
+    file!("fan.js", JS),
     file!("favicon.svg", SVG),
     file!("format.js", JS),
     file!("list.js", JS),
