@@ -63,6 +63,52 @@ pub(crate) struct Column {
     pub(crate) largest_dips: Largest,
     /// The step before.
     step: f64,
+    pub(crate) moves: Moves,
+    pub(crate) spikes: Spikes,
+}
+
+/// Steps between successive values, by their direction.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Moves {
+    pub(crate) rises: u64,
+    pub(crate) falls: u64,
+    /// Falls to a tenth or less, where a counter begins again.
+    pub(crate) resets: u64,
+    /// Sum of all steps without their signs, and of those that lead back to the value before the
+    /// last one, and the number of these.
+    pub(crate) all: f64,
+    pub(crate) back: f64,
+    pub(crate) returns: u64,
+}
+
+/// Values a hundred times those before them, all of about one size.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Spikes {
+    /// Their number, and that of the readings that they last.
+    pub(crate) count: u64,
+    pub(crate) readings: u64,
+    pub(crate) least: f64,
+    pub(crate) greatest: f64,
+    /// Those after a value of less than a two-hundredth of their size.
+    pub(crate) from_zero: u64,
+}
+
+impl Spikes {
+    fn take(&mut self, before: f64, value: f64) {
+        if value > 2.0 * self.greatest && value >= 100.0 * before.abs() {
+            *self = Self { least: value, greatest: value, ..Self::default() };
+        }
+        let top = 0.5 * self.greatest;
+        if !(self.greatest > 0.0 && value >= top) {
+            return;
+        }
+        self.readings += 1;
+        (self.least, self.greatest) = (self.least.min(value), self.greatest.max(value));
+        if before < top {
+            self.count += 1;
+            self.from_zero += u64::from(200.0 * before.abs() <= self.greatest);
+        }
+    }
 }
 
 /// Values equal to an end of the range.
@@ -116,6 +162,8 @@ impl Column {
             largest_steps: Largest::NONE,
             largest_dips: Largest::NONE,
             step: 0.0,
+            moves: Moves { rises: 0, falls: 0, resets: 0, all: 0.0, back: 0.0, returns: 0 },
+            spikes: Spikes { count: 0, readings: 0, least: 0.0, greatest: 0.0, from_zero: 0 },
         }
     }
 
@@ -134,7 +182,7 @@ impl Column {
                 let ratio = (value / self.last).abs();
                 let is_jump = ratio.is_finite() && ratio > 0.0 && !(1e-2..=1e2).contains(&ratio);
                 self.jumps += u64::from(is_jump);
-                self.step(value - self.last);
+                self.step(value);
             }
         }
         self.count += 1;
@@ -168,12 +216,23 @@ impl Column {
         self.last = value;
     }
 
-    fn step(&mut self, step: f64) {
+    fn step(&mut self, value: f64) {
+        let step = value - self.last;
+        self.spikes.take(self.last, value);
         self.steps.add(step);
         self.largest_steps.add(step);
         let comes_back = (self.step + step).abs() <= BACK * step.abs();
         if comes_back && step > 0.0 {
             self.largest_dips.add(self.step);
+        }
+        let moves = &mut self.moves;
+        moves.rises += u64::from(step > 0.0);
+        moves.falls += u64::from(step < 0.0);
+        moves.resets += u64::from(step < 0.0 && value <= 0.1 * self.last);
+        moves.all += step.abs();
+        if comes_back && step != 0.0 {
+            moves.back += step.abs();
+            moves.returns += 1;
         }
         self.step = step;
     }

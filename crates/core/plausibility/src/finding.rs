@@ -5,6 +5,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
+use crate::observation::Observation;
 use crate::quantity::{Quantity, UNMEASURED_A, number};
 
 /// Kind of a finding. Its name is what `--accept` takes.
@@ -32,11 +33,13 @@ pub enum Kind {
     Sentinel,
     /// Power differs from voltage times current.
     Mismatch,
+    /// Readings of two sources in turn.
+    Sources,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Sign,
         Self::Unit,
         Self::Clock,
@@ -47,6 +50,7 @@ impl Kind {
         Self::Constant,
         Self::Sentinel,
         Self::Mismatch,
+        Self::Sources,
     ];
 
     /// The name.
@@ -63,6 +67,7 @@ impl Kind {
             Self::Constant => "constant",
             Self::Sentinel => "sentinel",
             Self::Mismatch => "mismatch",
+            Self::Sources => "sources",
         }
     }
 }
@@ -133,14 +138,97 @@ pub(crate) enum Remedy {
     Sensor,
     /// Correct the values, or their limits.
     Limits,
-    /// State which number stands for no reading, as its file has it.
-    Missing(f64),
+    /// State which number stands for no reading: as its file has it, and in SI units.
+    Missing { written: f64, value: f64 },
     /// Measure the current, which always has this value in SI.
     Unmeasured(f64),
     /// Divide the recording.
     Split,
     /// Name columns that belong together.
     Agree,
+    /// Record what is counted.
+    Counter,
+    /// Tell the sources apart.
+    Apart,
+    /// Read a column.
+    Read,
+}
+
+/// An edit of the mapping of a recording, which may remedy a finding.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Edit {
+    /// Turn the sign of the current, and of a power that has its sign.
+    Turn,
+    /// Read a quantity in another unit, in which its values are so many times as large.
+    Unit {
+        /// The quantity.
+        quantity: Quantity,
+        /// The unit, as a mapping names it.
+        unit: String,
+        /// The factor.
+        factor: f64,
+    },
+    /// Read the time in another unit.
+    Time {
+        /// The unit, as a mapping names it.
+        unit: &'static str,
+        /// Its size, s.
+        unit_s: f64,
+    },
+    /// A number stands for no reading.
+    Missing {
+        /// The quantity that has it.
+        quantity: Quantity,
+        /// The number as the file has it, and in SI units.
+        written: f64,
+        /// In SI units, with the sign of joulebus.
+        value: f64,
+    },
+}
+
+impl Edit {
+    /// Applies it to an observation. `turns_power`: power has the sign of the current. `is_product`:
+    /// power is voltage times current.
+    pub fn apply(&self, seen: &mut Observation, turns_power: bool, is_product: bool) {
+        match self {
+            Self::Turn => {
+                seen.current_a = -seen.current_a;
+                if turns_power {
+                    seen.power_w = -seen.power_w;
+                }
+            }
+            Self::Unit { quantity, factor, .. } => *seen.value_mut(*quantity) *= factor,
+            Self::Time { unit_s, .. } => seen.time_s *= unit_s,
+            Self::Missing { quantity, value, .. } => {
+                let found = seen.value_mut(*quantity);
+                if (*found - value).abs() <= 1e-6 * value.abs() {
+                    *found = f64::NAN;
+                }
+            }
+        }
+        if is_product {
+            seen.power_w = seen.voltage_v * seen.current_a;
+        }
+    }
+
+    /// The options that say it of a recording. `column`: the name of the quantity's column.
+    fn option(&self, source: Source, column: &str) -> String {
+        let quoted = |text: String| match text.contains(|letter: char| letter.is_whitespace()) {
+            true => format!("'{text}'"),
+            false => text,
+        };
+        match self {
+            Self::Turn if source == Source::TurnedRecording => {
+                "--current discharge-positive".to_owned()
+            }
+            Self::Turn => "--current discharge-negative".to_owned(),
+            Self::Unit { quantity, unit, .. } => {
+                format!("--map {}", quoted(format!("{}_{unit}={column}", quantity.name())))
+            }
+            Self::Time { unit, .. } => format!("--map {}", quoted(format!("time_{unit}={column}"))),
+            Self::Missing { written, .. } => format!("--map missing:={written}"),
+        }
+    }
 }
 
 /// A finding about one robot.
@@ -182,10 +270,77 @@ impl Finding {
         }
     }
 
+    /// A column looks like a command, and is not read: `option` reads it.
+    #[must_use]
+    pub fn unread(column: &str, option: &str, rows: u64) -> Self {
+        Self {
+            kind: Kind::NeverCame,
+            quantity: Some(Quantity::V),
+            severity: Severity::Warning,
+            readings: rows,
+            found: format!(
+                "column {column} looks like a command and is not read. Forecasts are better with it"
+            ),
+            allowed: format!("if it is one, it is read with {option}"),
+            remedy: Remedy::Read,
+        }
+    }
+
+    /// The edits of a recording's mapping that may remedy it, of which one is right. `column` is the
+    /// name that the recording has for the quantity.
+    #[must_use]
+    pub fn edits(&self, column: Option<&str>) -> Vec<Edit> {
+        let Some(quantity) = self.quantity else {
+            return match self.remedy {
+                Remedy::Seconds(unit) => {
+                    let sizes =
+                        [("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3), ("min", 60.0), ("h", 3.6e3)];
+                    let size = sizes.into_iter().find(|(name, _)| *name == unit);
+                    vec![Edit::Time { unit, unit_s: size.map_or(86_400.0, |(_, size)| size) }]
+                }
+                _ => Vec::new(),
+            };
+        };
+        match self.remedy {
+            Remedy::Turn => vec![Edit::Turn],
+            Remedy::Scale { read, thousands } => {
+                let read =
+                    column.and_then(|column| stated(quantity.name(), column)).unwrap_or(read);
+                let edit = |steps: i8| {
+                    let unit = scaled(read, [steps, 0]).pop()?;
+                    Some(Edit::Unit { quantity, unit, factor: 1e3_f64.powi(steps.into()) })
+                };
+                let [first, second] = thousands;
+                let several = [Some(first), Some(second).filter(|second| *second != 0)];
+                several.into_iter().flatten().filter_map(edit).collect()
+            }
+            Remedy::State(unit) => {
+                let factor = match unit {
+                    "percent" | "cmps" => 1e-2,
+                    "share" => 1e2,
+                    "mmps" => 1e-3,
+                    "degps" => std::f64::consts::PI / 180.0,
+                    _ => return Vec::new(),
+                };
+                vec![Edit::Unit { quantity, unit: unit.to_owned(), factor }]
+            }
+            Remedy::Missing { written, value } if written != 0.0 => {
+                vec![Edit::Missing { quantity, written, value }]
+            }
+            _ => Vec::new(),
+        }
+    }
+
     /// The remedy, in the words of the source. `column` is the name that the source has for the
     /// quantity, if known.
     #[must_use]
     pub fn remedy(&self, source: Source, column: Option<&str>) -> String {
+        self.remedy_by(source, column, &self.edits(column))
+    }
+
+    /// The same with those of its edits that were tried, and leave no finding.
+    #[must_use]
+    pub fn remedy_by(&self, source: Source, column: Option<&str>, edits: &[Edit]) -> String {
         let quantity = self.quantity.map_or("time", Quantity::name);
         let column = column.unwrap_or("COLUMN");
         let accept = self.kind;
@@ -194,12 +349,27 @@ impl Finding {
             Some(Quantity::Power) => "power`, or `current",
             _ => quantity,
         };
+        let is_recording = matches!(source, Source::Recording | Source::TurnedRecording);
+        let takes_option = is_recording
+            || (source == Source::Array
+                && matches!(self.remedy, Remedy::Turn | Remedy::Missing { .. }));
+        let options: Vec<String> = edits.iter().map(|edit| edit.option(source, column)).collect();
+        let options = options.join(" or ");
         let remedy = match (self.remedy, source) {
-            (Remedy::Turn, Source::Recording | Source::Array) => {
-                "turn the sign with --current discharge-negative".to_owned()
+            (Remedy::Turn | Remedy::Scale { .. } | Remedy::State(_) | Remedy::Seconds(_), _)
+                if takes_option && edits.is_empty() =>
+            {
+                format!("correct the values of {column}: no option mends them")
             }
-            (Remedy::Turn, Source::TurnedRecording) => {
-                "turn the sign with --current discharge-positive".to_owned()
+            (Remedy::Turn, _) if takes_option => format!("turn the sign with {options}"),
+            (Remedy::Scale { .. } | Remedy::State(_), _) if is_recording => {
+                format!("state the unit, {options}, or correct the file")
+            }
+            (Remedy::Seconds(_), _) if is_recording => {
+                format!("state the unit of the time, such as {options}")
+            }
+            (Remedy::Turn, Source::Recording | Source::TurnedRecording | Source::Array) => {
+                "correct the sign".to_owned()
             }
             (Remedy::Turn, Source::Bag) => {
                 "state the other sign with --current discharge-positive or discharge-negative"
@@ -214,11 +384,11 @@ impl Finding {
                 "convert its {quantity}, because an array has s, m/s, rad/s, mV, mA and mW, or give a \
                  CSV with --map"
             ),
-            (Remedy::Scale { read, thousands }, Source::Recording | Source::TurnedRecording) => {
-                state(quantity, column, &scaled(stated(quantity, column).unwrap_or(read), thousands))
-            }
-            (Remedy::State(unit), Source::Recording | Source::TurnedRecording) => {
-                state(quantity, column, &[unit.to_owned()])
+            (
+                Remedy::Scale { .. } | Remedy::State(_),
+                Source::Recording | Source::TurnedRecording,
+            ) => {
+                format!("correct the values of {column}, or the unit in its name")
             }
             (Remedy::Scale { thousands: [thousands, _], .. }, Source::Bag) => format!(
                 "state the unit in a mapping file, such as {quantity}_unit = {}",
@@ -248,7 +418,10 @@ impl Finding {
                     "soc" => ". Of ROS 2, set percentage_unit = \"%\"",
                     _ => "",
                 };
-                format!("state the unit in the field, {}{ros}", fields(quantity, &[unit.to_owned()]))
+                format!(
+                    "state the unit in the field, {}{ros}",
+                    fields(quantity, &[unit.to_owned()])
+                )
             }
             (Remedy::Scale { .. }, Source::Program) => {
                 format!("publish {quantity} in {}", self.quantity.map_or("", Quantity::unit))
@@ -280,24 +453,34 @@ impl Finding {
             (
                 Remedy::Limits,
                 Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag,
-            ) => {
-                "correct the values, or state another platform's limits".to_owned()
-            }
+            ) => "correct the values, or state another platform's limits".to_owned(),
             (Remedy::Limits, _) => "correct the values or the platform's limits".to_owned(),
             // Zero is a speed and a current as well.
-            (Remedy::Missing(0.0), _) => "leave the fields empty where there is no reading".to_owned(),
-            (Remedy::Missing(number), Source::Recording | Source::TurnedRecording | Source::Array) => {
-                format!("say that it is no reading with --map missing:={number}")
+            (Remedy::Missing { written: 0.0, .. }, _) => {
+                "leave the fields empty where there is no reading".to_owned()
             }
-            (Remedy::Missing(_), _) => format!("leave {quantity} out where there is no reading"),
+            (Remedy::Missing { .. }, _) if takes_option && !edits.is_empty() => {
+                format!("say that it is no reading with {options}")
+            }
+            (Remedy::Missing { .. }, _) => {
+                format!("leave {quantity} out where there is no reading")
+            }
             (Remedy::Unmeasured(value), source) => unmeasured(value, source, column),
             (Remedy::Split, _) => "divide the recording where it changes".to_owned(),
-            (Remedy::Agree, Source::Recording | Source::TurnedRecording) => {
-                "name the columns that belong together, --map power_W=…,voltage_V=…,current_A=…, or \
-                 remove those of another circuit"
-                    .to_owned()
+            (Remedy::Agree, _) => {
+                "name power, voltage and current of one circuit, or leave out the others".to_owned()
             }
-            (Remedy::Agree, _) => "name power, voltage and current of one circuit".to_owned(),
+            (Remedy::Read, _) => "leave it out where it is none".to_owned(),
+            (Remedy::Counter, _) => {
+                format!("record the {quantity} itself: an energy (Wh) or a charge (Ah) is not read")
+            }
+            (Remedy::Apart, Source::Recording | Source::TurnedRecording) if column != "COLUMN" => {
+                format!("tell the sources apart, --map robot={column}, or record one of them")
+            }
+            (Remedy::Apart, Source::Bag | Source::Bridge) => {
+                "give each source a topic of its own, or stop one".to_owned()
+            }
+            (Remedy::Apart, _) => "record one source".to_owned(),
             (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
         };
         match source {
@@ -387,17 +570,7 @@ fn scaled(read: &str, thousands: [i8; 2]) -> Vec<String> {
     several.into_iter().flatten().filter_map(of).map(|unit| (*unit).to_owned()).collect()
 }
 
-/// The mapping that states a unit, or one of several.
-fn state(quantity: &str, column: &str, units: &[String]) -> String {
-    let mapped: Vec<String> =
-        units.iter().map(|unit| format!("--map {quantity}_{unit}={column}")).collect();
-    match mapped.is_empty() {
-        true => format!("correct the values of {column}, or the unit in its name"),
-        false => format!("state the unit, {}, or correct the file", mapped.join(" or ")),
-    }
-}
-
-/// The same in a bridge's file.
+/// The field of a bridge's file that states a unit, or one of several.
 fn fields(quantity: &str, units: &[String]) -> String {
     let fields: Vec<String> =
         units.iter().map(|unit| format!("{quantity} = {{ at = …, unit = \"{unit}\" }}")).collect();

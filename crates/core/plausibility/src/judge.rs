@@ -23,8 +23,14 @@ const MIN_MISSING: u64 = 50;
 const MOSTLY: f64 = 0.5;
 /// Values before they count in a recording of which nothing more will come.
 const FEW_ROWS: u64 = 3;
-/// Share of rows in which power may differ from voltage times current.
+/// Shares of rows in which power differs from voltage times current: to be told, and to stop.
+const SOME_MISMATCHES: f64 = 0.05;
 const MAX_MISMATCHES: f64 = 0.5;
+/// Readings that alternate between two sources: their number, their share of all changes, and the
+/// mean change as a share of the usual reading.
+const MIN_RETURNS: u64 = 50;
+const MOST_RETURN: f64 = 0.8;
+const MIN_CHANGE: f64 = 0.05;
 /// Time between two recordings that are judged together, s.
 const APART_S: f64 = 1.0;
 /// Speed at which a robot drives, m/s.
@@ -65,6 +71,13 @@ impl Known {
     #[must_use]
     pub const fn unstated(mut self, quantity: Quantity) -> Self {
         self.unstated[quantity as usize] = true;
+        self
+    }
+
+    /// The source states the unit of a quantity.
+    #[must_use]
+    pub const fn stated(mut self, quantity: Quantity) -> Self {
+        self.unstated[quantity as usize] = false;
         self
     }
 
@@ -117,6 +130,8 @@ pub struct Judge {
     /// Power over current where no voltage is known, V.
     implied: Sizes,
     driving: Sizes,
+    /// Observations of a robot that drives.
+    driven: u64,
     sign: Sign,
     hold: Hold,
     monitor: CurrentMonitor,
@@ -139,6 +154,7 @@ impl Judge {
             ratios: Sizes::new(),
             implied: Sizes::new(),
             driving: Sizes::new(),
+            driven: 0,
             sign: Sign::default(),
             hold: Hold::default(),
             monitor: CurrentMonitor::default(),
@@ -170,6 +186,7 @@ impl Judge {
         }
         if seen.v_mps.abs() >= DRIVES_MPS || seen.v_measured_mps.abs() >= DRIVES_MPS {
             self.driving.add(seen.power_w);
+            self.driven += 1;
         }
         self.sign.take(seen);
         self.hold.take(seen);
@@ -206,6 +223,7 @@ impl Judge {
             ratios: &self.ratios,
             implied: &self.implied,
             driving: &self.driving,
+            driven: self.driven,
             resistance_ohm: self.sign.resistance_ohm(),
             unstated: &self.known.unstated,
             enough: self.known.least(MIN_ROWS),
@@ -235,6 +253,7 @@ impl Judge {
             found.extend(self.constant(quantity, column));
         }
         found.extend(self.mismatch(&found));
+        found.extend(self.sources(&found));
         found.sort_by_key(|finding| (finding.severity, finding.kind, finding.quantity));
         found
     }
@@ -280,14 +299,59 @@ impl Judge {
                 remedy: Remedy::Split,
             });
         }
+        if found.is_empty()
+            && let Some((drawn, fed, size_w)) = self.sign.mirrored()
+        {
+            found.push(Finding {
+                kind: Kind::Sign,
+                quantity: Some(Quantity::Power),
+                severity: Severity::Error,
+                readings: fed,
+                found: format!(
+                    "at the same commands power is negative in {fed} readings and positive in \
+                     {drawn}, with the same size, such as {}: its sign is not reliable",
+                    Quantity::Power.shown(size_w)
+                ),
+                allowed: "power is positive while the battery discharges".to_owned(),
+                remedy: Remedy::Sensor,
+            });
+        }
         found
+    }
+
+    /// Readings of two sources in turn: nearly each leads back to the one before the last.
+    fn sources(&self, found: &[Finding]) -> Option<Finding> {
+        let mut measured = [Quantity::Current, Quantity::Power, Quantity::Voltage].into_iter();
+        measured.find_map(|quantity| {
+            let column = &self.columns[quantity as usize];
+            let moves = &column.moves;
+            let usual = column.sizes.usual()?;
+            let alternates = moves.returns >= MIN_RETURNS
+                && moves.back >= MOST_RETURN * moves.all
+                && moves.all >= MIN_CHANGE * usual * column.count as f64;
+            let is_explained = found.iter().any(|one| one.quantity == Some(quantity));
+            (alternates && !is_explained).then(|| Finding {
+                kind: Kind::Sources,
+                quantity: Some(quantity),
+                severity: Severity::Error,
+                readings: moves.returns,
+                found: format!(
+                    "{} alternates between two levels in {} of {} readings: those of two sources",
+                    quantity.name(),
+                    moves.returns,
+                    column.count
+                ),
+                allowed: "a recording has one source".to_owned(),
+                remedy: Remedy::Apart,
+            })
+        })
     }
 
     /// A number that means that there is no reading, as its file has it.
     fn sentinels(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
         let mut found = sentinels(quantity, column)?;
         let is_turned = matches!(quantity, Quantity::Power | Quantity::Current);
-        if let (Remedy::Missing(written), true) = (&mut found.remedy, is_turned) {
+        if let (Remedy::Missing { written, .. }, true) = (&mut found.remedy, is_turned) {
             *written = self.known.recorded(*written);
         }
         Some(found)
@@ -339,17 +403,25 @@ impl Judge {
                 .into_iter()
                 .any(|one| of(one).is_zero());
         let share = self.mismatches as f64 / self.products as f64;
-        if is_explained || self.products < self.known.least(MIN_ROWS) || share <= MAX_MISMATCHES {
+        let is_most = share > MAX_MISMATCHES;
+        let is_some = share > SOME_MISMATCHES && self.mismatches >= MIN_ROWS;
+        if is_explained || self.products < self.known.least(MIN_ROWS) || !(is_most || is_some) {
             return None;
         }
-        let ratio = number(self.ratios.usual().unwrap_or(f64::INFINITY));
+        let usually = match is_most {
+            true => format!(
+                ": usually {} times it",
+                number(self.ratios.usual().unwrap_or(f64::INFINITY))
+            ),
+            false => String::new(),
+        };
         Some(Finding {
             kind: Kind::Mismatch,
             quantity: Some(Quantity::Power),
-            severity: Severity::Error,
+            severity: if is_most { Severity::Error } else { Severity::Warning },
             readings: self.mismatches,
             found: format!(
-                "power is not voltage times current in {} of {} readings: usually {ratio} times it",
+                "power is not voltage times current in {} of {} readings{usually}",
                 self.mismatches, self.products
             ),
             allowed: "they agree within 10 %".to_owned(),
@@ -588,14 +660,14 @@ fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
 
 /// Numbers that mean that there is no reading.
 fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
-    let finding = |severity, readings, found, written| Finding {
+    let finding = |severity, readings, found, (written, value)| Finding {
         kind: Kind::Sentinel,
         quantity: Some(quantity),
         severity,
         readings,
         found,
         allowed: "a missing reading is empty or NaN".to_owned(),
-        remedy: Remedy::Missing(written),
+        remedy: Remedy::Missing { written, value },
     };
     if matches!(quantity, Quantity::V | Quantity::Omega) {
         return None;
@@ -606,19 +678,27 @@ fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
         let count = found.count;
         let what =
             format!("{name} is exactly {value} in {count} of {of} readings, far from all others");
-        return Some(finding(Severity::Error, count, what, found.written));
+        let numbers = (found.written, found.value);
+        return Some(finding(Severity::Error, count, what, numbers));
     }
-    if let Some(count) =
+    if let Some((count, single)) =
         silent(column).filter(|_| quantity != Quantity::Voltage && quantity != Quantity::Soc)
     {
-        let usual = quantity.shown(column.sizes.usual().unwrap_or_default());
-        let what = format!(
-            "{name} is exactly 0 in {count} of {of} readings between those of usually {usual}"
-        );
-        return Some(finding(Severity::Warning, count, what, 0.0));
+        let what = match single {
+            true => {
+                let usual = quantity.shown(column.sizes.usual().unwrap_or_default());
+                format!("between those of usually {usual}")
+            }
+            false => format!(
+                "and no other is below {}: the monitor has a dead band, or was off",
+                quantity.shown(column.above_least)
+            ),
+        };
+        let what = format!("{name} is exactly 0 in {count} of {of} readings {what}");
+        return Some(finding(Severity::Warning, count, what, (0.0, 0.0)));
     }
     let (count, single) = dropped(column).filter(|_| quantity == Quantity::Voltage)?;
     let severity = if single { Severity::Error } else { Severity::Warning };
     let what = format!("{name} is exactly 0 V in {count} of {of} readings: no battery has that");
-    Some(finding(severity, count, what, 0.0))
+    Some(finding(severity, count, what, (0.0, 0.0)))
 }

@@ -5,8 +5,10 @@ mod battery;
 mod clock;
 mod column;
 mod finding;
+mod front;
 mod hold;
 mod judge;
+pub mod moment;
 mod observation;
 mod quantity;
 mod resolution;
@@ -20,7 +22,8 @@ pub use battery::{
     ChargerWatch, CurrentMonitor, SupplyStatus, charging_of_text, is_charge, on_charger,
 };
 pub use clock::{StampState, Stamps};
-pub use finding::{Finding, Kind, Severity, Source};
+pub use finding::{Edit, Finding, Kind, Severity, Source};
+pub use front::{Field, Mapped, PowerOf, SOC, Said, Unusable};
 pub use hold::{COMMAND_HOLDS_S, Expired};
 pub use judge::{Judge, Known, TimeUnit};
 pub use observation::Observation;

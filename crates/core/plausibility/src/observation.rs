@@ -55,4 +55,15 @@ impl Observation {
             Quantity::Omega => self.omega_radps,
         }
     }
+
+    pub(crate) const fn value_mut(&mut self, quantity: Quantity) -> &mut f64 {
+        match quantity {
+            Quantity::Power => &mut self.power_w,
+            Quantity::Voltage => &mut self.voltage_v,
+            Quantity::Current => &mut self.current_a,
+            Quantity::Soc => &mut self.soc,
+            Quantity::V => &mut self.v_mps,
+            Quantity::Omega => &mut self.omega_radps,
+        }
+    }
 }

@@ -1,5 +1,7 @@
 //! Sensors at the end of their range, and registers that wrap.
 
+use std::ops::RangeInclusive;
+
 use crate::column::{Column, End, LARGEST};
 
 /// Readings at the end of the range before it counts.
@@ -21,7 +23,7 @@ const FULL: [f64; 2] = [32_767.0, 65_535.0];
 /// Steps of usual monitors, as mantissas.
 const ROUND: [f64; 7] = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0];
 /// Bits of registers that wrap.
-const BITS: [i32; 3] = [16, 15, 12];
+const BITS: RangeInclusive<i32> = 12..=24;
 /// Share of a register that its values leave at either end.
 const LEFT_AT_ENDS: f64 = 5e-3;
 /// Share of a register that a wrap passes.
@@ -32,8 +34,13 @@ const MIN_WRAPS: usize = 3;
 const WRAP_STEPS: f64 = 50.0;
 /// And than this share of the usual reading.
 const WRAP_SHARE: f64 = 0.5;
-/// Relative difference of the mean wrap from 2^16 steps.
+/// Relative difference of the mean wrap from a register.
 const WRAP_EXACT: f64 = 5e-3;
+/// Values below 0 that a register shows as its end: how many times, how long in the mean, and the
+/// share of the register within which they are.
+const MIN_SPIKES: u64 = 5;
+const MAX_SPIKE_RUN: u64 = 3;
+const SPIKE_EXACT: f64 = 5e-3;
 
 /// The size of a monitor's step if `end` is a full register of it.
 fn full(end: f64) -> Option<f64> {
@@ -107,6 +114,9 @@ pub(crate) fn wraps(column: &Column) -> Option<(u64, f64)> {
     if let Some(found) = filled(column) {
         return Some(found);
     }
+    if let Some(found) = unsigned(column) {
+        return Some(found);
+    }
     if !(column.least < 0.0 && column.greatest > 0.0) {
         return None;
     }
@@ -137,8 +147,23 @@ fn wrap(column: &Column, steps: &[f64]) -> Option<(u64, f64)> {
     let wraps = &steps[..count];
     let mean = wraps.iter().map(|step| step.abs()).sum::<f64>() / count as f64;
     let is_alike = |step: &f64| (step.abs() - mean).abs() <= 8.0 * usual + 1e-3 * mean;
-    (wraps.iter().all(is_alike) && is_round(mean / 65_536.0, WRAP_EXACT))
-        .then_some((count as u64, mean))
+    let is_register =
+        BITS.into_iter().any(|bits| is_round(mean / f64::from(bits).exp2(), WRAP_EXACT));
+    (wraps.iter().all(is_alike) && is_register).then_some((count as u64, mean))
+}
+
+/// Values around 0 of which those below 0 are read as the end of an unsigned register.
+fn unsigned(column: &Column) -> Option<(u64, f64)> {
+    let spikes = &column.spikes;
+    let is_end = spikes.greatest - spikes.least <= SPIKE_EXACT * spikes.greatest
+        && 10 * spikes.from_zero >= 9 * spikes.count;
+    (spikes.count >= MIN_SPIKES
+        && spikes.readings <= MAX_SPIKE_RUN * spikes.count
+        && 4 * spikes.readings <= column.count
+        && column.negative == 0
+        && spikes.least < spikes.greatest
+        && is_end)
+        .then_some((spikes.count, spikes.greatest))
 }
 
 /// Steps across a register that the values fill from end to end, signed or unsigned, however often
@@ -148,7 +173,7 @@ fn filled(column: &Column) -> Option<(u64, f64)> {
     if column.decimals >= Column::CONTINUUM || !(span > 0.0 && span.is_finite()) {
         return None;
     }
-    let size = BITS.into_iter().find_map(|bits| {
+    let size = BITS.rev().find_map(|bits| {
         let counts = f64::from(bits).exp2();
         let step = round_above(span / counts)?;
         let size = step * counts;

@@ -95,12 +95,12 @@ fn written(value: f64, numbers: &[f64]) -> Option<f64> {
     found.next().map(|(_, number)| number.copysign(value))
 }
 
-/// Single readings of exactly 0 among others that are far from it: a monitor that did not answer.
-/// How many.
-pub(crate) fn silent(column: &Column) -> Option<u64> {
+/// Readings of exactly 0 among others that are far from it: how many, and whether they are single
+/// ones, of a monitor that did not answer.
+pub(crate) fn silent(column: &Column) -> Option<(u64, bool)> {
     let usual = column.sizes.usual()?;
     let is_far = column.negative == 0 && column.above_least >= NEAR * usual;
-    dropped(column).filter(|(_, single)| *single && is_far).map(|(count, _)| count)
+    dropped(column).filter(|_| is_far)
 }
 
 /// Voltages of exactly 0 among others: how many, and whether they are single ones.

@@ -30,6 +30,16 @@ const CLEAR_RESISTANCE: f64 = 0.5;
 const MIN_PAIRS: u64 = 50;
 /// Changes of the sign by a driver or a firmware: a robot that feeds energy back has more.
 const MAX_FLIPS: u64 = 4;
+/// Readings of each sign at one command, and of all negative ones, that show that signs are mixed.
+const MIN_MIRRORED: u64 = 5;
+const MIN_ALL_MIRRORED: u64 = 10;
+/// Relative difference of their means, and spread of each.
+const MIRRORED: f64 = 0.1;
+const NARROW: f64 = 0.3;
+/// Commands that are kept apart, and the size of one, m/s and rad/s.
+const COMMANDS: usize = 32;
+const COMMAND_MPS: f64 = 0.05;
+const COMMAND_RADPS: f64 = 0.1;
 /// Rise of the voltage while charging, in standard deviations around its trend, and as a share.
 const RISE_STD: f64 = 2.0;
 const RISE_SHARE: f64 = 1e-3;
@@ -98,6 +108,71 @@ impl Line {
     }
 }
 
+/// Readings of one sign at one command.
+#[derive(Debug, Clone, Copy, Default)]
+struct Side {
+    count: u64,
+    sum: f64,
+    squares: f64,
+}
+
+impl Side {
+    /// The mean, if the readings are close to each other.
+    fn mean(&self) -> Option<f64> {
+        let count = self.count as f64;
+        let mean = self.sum / count;
+        let variance = (self.squares / count - mean * mean).max(0.0);
+        (self.count >= MIN_MIRRORED && variance.sqrt() <= NARROW * mean).then_some(mean)
+    }
+}
+
+/// Power at the same commands, positive and negative.
+#[derive(Debug, Clone, Copy)]
+struct Mirror([(Option<[i32; 2]>, [Side; 2]); COMMANDS]);
+
+impl Default for Mirror {
+    fn default() -> Self {
+        Self([(None, [Side::default(); 2]); COMMANDS])
+    }
+}
+
+impl Mirror {
+    fn take(&mut self, seen: &Observation) {
+        let steps = [seen.v_mps / COMMAND_MPS, seen.omega_radps / COMMAND_RADPS];
+        let size = seen.power_w.abs();
+        if moves(seen) != Some(true) || !(size > 0.0 && size.is_finite()) {
+            return;
+        }
+        // An unknown one is 0.
+        let command = steps.map(|step| step.round() as i32);
+        let place =
+            command[0].wrapping_mul(31).wrapping_add(command[1]).rem_euclid(COMMANDS as i32);
+        let (key, sides) = &mut self.0[place as usize];
+        if *key.get_or_insert(command) == command {
+            let side = &mut sides[usize::from(seen.power_w < 0.0)];
+            side.count += 1;
+            side.sum += size;
+            side.squares += size * size;
+        }
+    }
+
+    /// Positive and negative readings at commands of which both have the same size, and that size.
+    fn found(&self) -> Option<(u64, u64, f64)> {
+        let mut all = (0, 0, 0.0);
+        for (_, [positive, negative]) in &self.0 {
+            let (Some(drawn), Some(fed)) = (positive.mean(), negative.mean()) else {
+                continue;
+            };
+            if (drawn - fed).abs() <= MIRRORED * drawn.max(fed) {
+                all.0 += positive.count;
+                all.1 += negative.count;
+                all.2 = drawn.max(all.2);
+            }
+        }
+        (all.0.min(all.1) >= MIN_ALL_MIRRORED).then_some(all)
+    }
+}
+
 /// Evidence of one robot about the signs of its power and current.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Sign {
@@ -120,6 +195,7 @@ pub(crate) struct Sign {
     last_s: f64,
     before: Option<(f64, f64)>,
     soc: Option<(f64, f64)>,
+    mirror: Mirror,
 }
 
 /// Evidence that a sign is wrong.
@@ -173,6 +249,7 @@ impl Sign {
             None => &mut self.unknown,
         };
         signs.take(seen.power_w);
+        self.mirror.take(seen);
         let product = seen.power_w * seen.current_a;
         self.currents += u64::from(product != 0.0 && product.is_finite());
         self.current_against_power += u64::from(product < 0.0);
@@ -259,6 +336,11 @@ impl Sign {
         let negative = self.moving.negative + self.still.negative + self.unknown.negative;
         let is_rare = self.flips <= MAX_FLIPS;
         (is_rare && clear == [Some(true), Some(false)]).then_some(negative)
+    }
+
+    /// Positive and negative readings of one size at the same commands, and that size, W.
+    pub(crate) fn mirrored(&self) -> Option<(u64, u64, f64)> {
+        self.mirror.found()
     }
 
     /// True if negative readings are of a battery that takes energy: by its charge, or by its

@@ -32,6 +32,8 @@ const RESISTANCE_OHM: (f64, f64) = (5e-4, 8.0);
 const FULL: f64 = 1.05;
 /// Voltage of vehicles that draw more current than most robots.
 const VEHICLE_V: f64 = 24.0;
+/// Readings that rise before they are a counter's.
+const MIN_COUNTS: u64 = 100;
 /// Factor between two units of a quantity.
 const THOUSAND: f64 = 1_000.0;
 /// Units of a column that states none, in thousands of the one in which it is read.
@@ -51,6 +53,8 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) implied: &'a Sizes,
     /// Power while the robot moves at 0.1 m/s or more.
     pub(crate) driving: &'a Sizes,
+    /// Observations of it.
+    pub(crate) driven: u64,
     /// Fall of the voltage for each ampere more, Ω, if it is clear.
     pub(crate) resistance_ohm: Option<f64>,
     /// Quantities whose unit the source does not state.
@@ -96,6 +100,9 @@ impl Magnitudes<'_> {
             found.extend(self.resistance());
         }
         found.extend(self.switches());
+        found.extend(
+            [Quantity::Power, Quantity::Current].into_iter().filter_map(|one| self.counter(one)),
+        );
         found.extend(self.speed(Quantity::V, SPEED_MPS, &[("cmps", 1e-2), ("mmps", 1e-3)]));
         found.extend(self.speed(Quantity::Omega, TURN_RADPS, &[("degps", PI / 180.0)]));
         found.extend(self.share());
@@ -402,6 +409,26 @@ impl Magnitudes<'_> {
         found
     }
 
+    /// An energy or a charge so far in place of a power or a current: it only rises, or begins
+    /// again at 0.
+    fn counter(&self, quantity: Quantity) -> Option<Finding> {
+        let column = &self.columns[quantity as usize];
+        let moves = &column.moves;
+        let only_rises = moves.falls == moves.resets && MIN_COUNTS * moves.falls <= 2 * moves.rises;
+        if !(only_rises && moves.rises >= MIN_COUNTS && 2 * moves.rises >= column.count) {
+            return None;
+        }
+        let name = quantity.name();
+        let what = format!(
+            "{name} never falls in {} readings, from {} to {}: a counter, and no {name}",
+            column.count,
+            quantity.shown(column.least),
+            quantity.shown(column.greatest)
+        );
+        let allowed = format!("a {name} rises and falls with what the robot does");
+        Some(Finding { remedy: Remedy::Counter, ..self.finding(quantity, what, allowed, "") })
+    }
+
     /// Speeds that no robot has: in the largest unit that makes them usual, and in smaller ones.
     fn speed(
         &self,
@@ -441,12 +468,9 @@ impl Magnitudes<'_> {
             );
             return Some(self.finding(Quantity::Soc, what, allowed.to_owned(), "percent"));
         }
-        // A percentage of a share. A battery that is nearly empty looks the same, so it has to
-        // vary.
-        let is_hundredth = column.varies
-            && column.greatest <= FULL / 100.0
-            && column.greatest > 0.0
-            && self.driving.count() >= self.enough;
+        // A percentage of a share: no battery drives for long with so little.
+        let is_hundredth =
+            column.greatest <= FULL / 100.0 && column.greatest > 0.0 && self.driven >= self.enough;
         is_hundredth.then(|| {
             let what = format!(
                 "soc is at most {}: either the battery is nearly empty, or a share of {} was divided by 100",

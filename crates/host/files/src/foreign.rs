@@ -158,6 +158,40 @@ const KINDS: [Kind; 50] = [
     (0, b"[\n", "JSON", JSON),
 ];
 
+/// Endings of names of such files, with the kind.
+const ENDINGS: [(&str, &str); 30] = [
+    ("mat", "a MATLAB file (v5 to v7)"),
+    ("h5", "an HDF5 file"),
+    ("hdf5", "an HDF5 file"),
+    ("hdf", "an HDF5 file"),
+    ("bag", "a bag of ROS 1"),
+    ("db3", "an SQLite file"),
+    ("sqlite", "an SQLite file"),
+    ("db", "an SQLite file"),
+    ("ulg", "a ULog of PX4"),
+    ("bin", "a DataFlash log of ArduPilot"),
+    ("wpilog", "a log of WPILib"),
+    ("arrow", "an Arrow or Feather file"),
+    ("feather", "an Arrow or Feather file"),
+    ("parquet", "a Parquet file"),
+    ("nc", "a NetCDF file"),
+    ("zst", "a file compressed by zstd"),
+    ("bz2", "a file compressed by bzip2"),
+    ("xz", "a file compressed by xz"),
+    ("lz4", "a file compressed by LZ4"),
+    ("7z", "a 7z archive"),
+    ("rar", "a RAR archive"),
+    ("tar", "a tar archive"),
+    ("xlsx", "an Excel file"),
+    ("xls", "an Excel file"),
+    ("zip", "a zip archive (.npz, .xlsx, …)"),
+    ("npz", "a zip archive (.npz, .xlsx, …)"),
+    ("pkl", "a pickle of Python"),
+    ("pickle", "a pickle of Python"),
+    ("json", "JSON"),
+    ("jsonl", "JSON"),
+];
+
 const JSON: &str = "read it in Python with `pandas.read_json` (lines=True, if each line is an \
     object) and `joulebus.read_table`";
 
@@ -270,6 +304,13 @@ pub fn of_model(path: &Path, contents: &[u8]) -> Option<String> {
 /// Words of the header of every model of joulebus: one that is damaged still has some.
 const OWN: [&str; 3] = ["joulebus-model", "\"training_data_sha256\"", "\"format_version\""];
 
+/// Recognises a file by the ending of its name, which need not exist.
+pub fn of_name(path: &Path) -> Option<Foreign> {
+    let (_, named) = ENDINGS.iter().find(|(ending, _)| crate::ends_in(path, ending))?;
+    let kind = KINDS.iter().find(|(_, _, what, _)| what == named);
+    kind.map(|(_, _, what, remedy)| Foreign { what, remedy })
+}
+
 /// Recognises a file, if it is of one of the kinds and can be read.
 pub fn of_file(path: &Path) -> Option<Foreign> {
     let mut head = Vec::new();
@@ -282,7 +323,7 @@ pub fn of_file(path: &Path) -> Option<Foreign> {
 mod tests {
     use std::path::Path;
 
-    use super::{KINDS, of_model, recognise};
+    use super::{ENDINGS, KINDS, of_model, of_name, recognise};
 
     #[test]
     fn a_model_of_another_program_is_named_with_the_call_that_converts_it() {
@@ -327,6 +368,12 @@ mod tests {
             let found = recognise(&head).expect(what);
             assert_eq!((found.what, found.remedy), (what, remedy));
         }
+        for (ending, named) in ENDINGS {
+            let path = format!("a.{}", ending.to_uppercase());
+            let found = of_name(Path::new(&path)).expect(ending);
+            assert_eq!(found.what, named);
+        }
+        assert_eq!(of_name(Path::new("a.csv")), None);
         for length in [b"\x80\x02", b"\x80\x05", b"\x1f\x8b"] {
             let model = [&length[..], &[0; 6], b"{\"__metadata__\":"].concat();
             assert_eq!(recognise(&model), None, "{length:x?}");

@@ -9,6 +9,7 @@ mod hold;
 mod judge;
 mod limits;
 mod profile;
+mod python;
 mod units;
 
 pub use check::{Check, check_files, check_trial};
@@ -19,4 +20,5 @@ pub use hold::{Holds, holds};
 pub use judge::{Implausible, is_short, judge, judge_from, judge_together};
 pub use limits::{Limits, Range};
 pub use profile::{Profile, Profiler};
+pub use python::in_python;
 pub use units::{PowerCheck, power_check};

@@ -10,22 +10,26 @@ mod bag;
 mod capture;
 mod error;
 mod fleet;
+mod layout;
 mod limits;
-mod moment;
+mod meter;
 mod names;
 mod note;
 mod npy;
+mod numbers;
+mod proposal;
 mod read;
 mod resample;
 mod sample;
 mod stored;
 mod table;
 mod text;
+mod times;
 mod write;
 
 use std::path::{Path, PathBuf};
 
-use joulebus_plausibility::{Observation, on_charger};
+use joulebus_plausibility::{Known, Observation, Quantity as Judged, TimeUnit, on_charger};
 
 pub use bag::{BagTrial, BagTrialError};
 pub use capture::is_capture;
@@ -40,8 +44,19 @@ pub use table::{Column, LeftOut, SourceColumn, Table};
 pub use write::{Form, Row, WriteError};
 
 pub(crate) use capture::try_is_capture;
+pub(crate) use names::command_option;
 
 use table::{Appended, Columns};
+
+/// The columns that are judged.
+pub(crate) const JUDGED: [(Judged, Column); 6] = [
+    (Judged::Power, Column::Power),
+    (Judged::Voltage, Column::Voltage),
+    (Judged::Current, Column::Current),
+    (Judged::Soc, Column::Soc),
+    (Judged::V, Column::V),
+    (Judged::Omega, Column::Omega),
+];
 
 /// One robot's recorded run: at least two rows, in file order, in SI units.
 #[derive(Debug, Clone)]
@@ -59,6 +74,7 @@ pub struct Trial {
     is_turned: bool,
     is_part: bool,
     appended: Option<Appended>,
+    apart: Option<String>,
     /// Rows of the file on the charger, in ascending order.
     on_charger: Vec<u32>,
     notes: TrialNotes,
@@ -82,7 +98,9 @@ impl Trial {
     }
 
     /// The trial of a table whose values are already in SI units.
-    fn from_si(table: Table) -> Result<Self, TrialError> {
+    fn from_si(mut table: Table) -> Result<Self, TrialError> {
+        let mut on_charger = std::mem::take(&mut table.on_charger);
+        on_charger.retain(|row| table.has_file_row(*row));
         let Table {
             path,
             robot_name,
@@ -92,7 +110,7 @@ impl Trial {
             ignored_columns,
             no_final_line_break,
             unnamed_rows,
-            mut on_charger,
+            on_charger: _,
             sources,
             left_out,
             understood,
@@ -102,8 +120,8 @@ impl Trial {
             is_part,
             headers: _,
             appended,
+            apart,
         } = table;
-        on_charger.retain(|row| file_row.binary_search(row).is_ok());
         let by_sign = leave_out_charging(&timestamp_s, &mut columns);
         on_charger.extend(by_sign.into_iter().filter_map(|row| file_row.get(row).copied()));
         on_charger.sort_unstable();
@@ -131,6 +149,7 @@ impl Trial {
             is_turned,
             is_part,
             appended,
+            apart,
             on_charger,
             notes: TrialNotes::default(),
         };
@@ -229,11 +248,6 @@ impl Trial {
         self.time_name.as_deref()
     }
 
-    /// True if that name, or the caller, states its unit.
-    pub(crate) const fn states_time_unit(&self) -> bool {
-        self.states_time_unit
-    }
-
     /// True if the sign of the current was turned when it was read.
     pub(crate) const fn is_turned(&self) -> bool {
         self.is_turned
@@ -248,6 +262,54 @@ impl Trial {
     /// Position of another recording that was appended to its file, if any.
     pub(crate) const fn appended(&self) -> Option<Appended> {
         self.appended
+    }
+
+    /// A column of few words by which the rows of its file alternate, as those of several sources.
+    pub(crate) fn apart(&self) -> Option<&str> {
+        self.apart.as_deref()
+    }
+
+    /// Its rows as they are judged: in SI units, with times since the first.
+    pub(crate) fn observations(&self) -> impl Iterator<Item = Observation> + '_ {
+        let value = |column, row: usize| self.column(column).map_or(f64::NAN, |values| values[row]);
+        let first_s = self.timestamp_s.first().copied().unwrap_or_default();
+        self.timestamp_s.iter().enumerate().map(move |(row, time_s)| Observation {
+            v_mps: value(Column::V, row),
+            omega_radps: value(Column::Omega, row),
+            v_measured_mps: value(Column::VMeasured, row),
+            omega_measured_radps: value(Column::OmegaMeasured, row),
+            power_w: value(Column::Power, row),
+            voltage_v: value(Column::Voltage, row),
+            current_a: value(Column::Current, row),
+            soc: value(Column::Soc, row),
+            ..Observation::at(time_s - first_s)
+        })
+    }
+
+    /// What is known of its readings beforehand: where their units and times are from.
+    pub(crate) fn known(&self) -> Known {
+        let time = match (&self.time_name, self.states_time_unit) {
+            _ if self.is_array() => TimeUnit::Unstated,
+            (None, _) => TimeUnit::Certain,
+            (Some(_), true) => TimeUnit::Named,
+            (Some(_), false) => TimeUnit::Unstated,
+        };
+        let mut known = Known::default().whole().timed(time).turned(self.is_turned);
+        for (quantity, column) in JUDGED {
+            let source = self.sources.iter().find(|source| source.column == column);
+            if source.is_some_and(|source| !source.states_unit) {
+                known = known.unstated(quantity);
+            }
+            if source.is_some_and(|source| source.is_mapped) {
+                known = known.expects(quantity);
+            }
+        }
+        known
+    }
+
+    /// True if its file is an array, whose columns have no names.
+    pub(crate) fn is_array(&self) -> bool {
+        self.sources.is_empty() && joulebus_files::ends_in(&self.path, "npy")
     }
 
     /// Quality notes on the trial.

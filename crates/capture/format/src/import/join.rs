@@ -1,13 +1,13 @@
 //! Joins one robot's messages by time.
 
 use std::collections::BTreeMap;
-use std::ops::RangeInclusive;
 
 use mcap::records::MessageHeader;
 
 use super::mapping::{CurrentSign, Expired, Mapping, RobotMapping, TimeSource};
 use joulebus_plausibility::{
-    CurrentMonitor, Observation, StampState, Stamps, SupplyStatus, UNMEASURED_A, is_charge,
+    CurrentMonitor, Field, Mapped, Observation, PowerOf, SOC, Said, StampState, Stamps,
+    SupplyStatus, is_charge,
 };
 use joulebus_ros_messages::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
@@ -61,8 +61,8 @@ const SET_BACK_NS: u64 = 1_000_000_000;
 /// Difference of two clocks beyond which they must not be mixed, s.
 const MAX_OFFSET_S: f64 = 0.1;
 
-/// States of charge that the worker takes.
-const SOC: RangeInclusive<f64> = -0.05..=1.05;
+/// Frames of a battery's messages that are named.
+const MAX_FRAMES: usize = 8;
 
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Reading {
@@ -171,6 +171,8 @@ pub(super) struct Track {
     without_stamp: u64,
     not_present: u64,
     charging: u64,
+    /// The frames that its messages name: each publisher has its own.
+    frames: Vec<String>,
     /// Whether −1 A is a reading of this battery's monitor.
     monitor: CurrentMonitor,
     /// Readings whose state of charge is no share, and those of them that could be percentages.
@@ -210,6 +212,7 @@ impl Track {
             without_stamp: 0,
             not_present: 0,
             charging: 0,
+            frames: Vec::new(),
             monitor: CurrentMonitor::default(),
             odd_soc: 0,
             percent_soc: 0,
@@ -291,25 +294,37 @@ impl Track {
             CurrentSign::DischargeNegative => -1.0,
             CurrentSign::DischargePositive => 1.0,
         };
-        let voltage_v = f64::from(state.voltage) * self.robot.voltage_unit_v;
-        let current_a = sign * f64::from(state.current) * self.robot.current_unit_a;
-        if !voltage_v.is_finite() || !current_a.is_finite() {
-            return self.battery.refuse("its voltage or current is not a number");
-        }
-        let is_reserved = f64::from(state.current) == UNMEASURED_A;
         let charging =
             SupplyStatus::new(state.power_supply_status).and_then(SupplyStatus::charging);
+        let said = Said {
+            written_a: state.current.into(),
+            product_of: Some(PowerOf::Battery),
+            present: Some(state.present),
+            charging,
+            ..Said::default()
+        };
+        let said = said
+            .with(Field::Voltage, f64::from(state.voltage) * self.robot.voltage_unit_v)
+            .with(Field::Current, sign * f64::from(state.current) * self.robot.current_unit_a)
+            .with(Field::Soc, state.percentage.into());
+        let Mapped { seen, is_reserved, .. } = said.map(|_, _| {});
+        let Observation { voltage_v, current_a, soc, .. } = seen;
+        if !state.present && voltage_v.is_nan() {
+            return self.battery.refuse("it reports that there is no battery (`present` is false)");
+        }
+        if voltage_v.is_nan() || current_a.is_nan() {
+            return self.battery.refuse("its voltage or current is not a number");
+        }
         // The number as the driver wrote it: its unit does not matter here.
         let as_written = f64::from(state.current);
         self.monitor.take(&Observation { current_a: as_written, ..Observation::at(0.0) });
         self.without_stamp += u64::from(times.header_ns.is_none());
         self.not_present += u64::from(!state.present);
         self.charging += u64::from(current_a < 0.0 && charging != Some(true));
-        // Drivers write −1 as well, and mavros −1 %.
-        let is_known = state.percentage.is_finite() && ![-1.0, -0.01].contains(&state.percentage);
-        let soc = is_known.then_some(f64::from(state.percentage));
-        self.unknown_soc += u64::from(soc.is_none());
-        let soc = soc.unwrap_or(f64::NAN);
+        if !self.frames.contains(&state.header.frame_id) && self.frames.len() < MAX_FRAMES {
+            self.frames.push(state.header.frame_id.clone());
+        }
+        self.unknown_soc += u64::from(soc.is_nan());
         let known = soc.is_nan() || SOC.contains(&soc);
         self.odd_soc += u64::from(!known);
         self.percent_soc += u64::from(!known && SOC.contains(&(soc / 100.0)));
@@ -317,8 +332,12 @@ impl Track {
     }
 
     fn twist(&mut self, times: Times, twist: &Twist) {
-        let (v_mps, omega_radps) = (twist.linear.x, twist.angular.z);
-        if !v_mps.is_finite() || !omega_radps.is_finite() {
+        let said = Said::default()
+            .with(Field::V, twist.linear.x)
+            .with(Field::Vy, twist.linear.y)
+            .with(Field::Omega, twist.angular.z);
+        let Observation { v_mps, omega_radps, .. } = said.map(|_, _| {}).seen;
+        if v_mps.is_nan() || omega_radps.is_nan() || twist.linear.y.is_nan() {
             return self.command.refuse("its velocities are not numbers");
         }
         self.command.push(times, Command { v_mps, omega_radps });
@@ -327,12 +346,17 @@ impl Track {
     fn motion(&mut self, times: Times, odometry: &Odometry) {
         let (pose, twist) = (&odometry.pose.pose, &odometry.twist.twist);
         let known = |value: f64| if value.is_finite() { value } else { f64::NAN };
+        let said = Said::default()
+            .with(Field::VMeasured, twist.linear.x)
+            .with(Field::VyMeasured, twist.linear.y)
+            .with(Field::OmegaMeasured, twist.angular.z);
+        let seen = said.map(|_, _| {}).seen;
         let motion = Motion {
             x_m: known(pose.position.x),
             y_m: known(pose.position.y),
             theta_rad: known(pose.orientation.yaw_rad()),
-            v_mps: known(twist.linear.x),
-            omega_radps: known(twist.angular.z),
+            v_mps: seen.v_measured_mps,
+            omega_radps: seen.omega_measured_radps,
         };
         if motion.x_m.is_nan() || motion.y_m.is_nan() {
             self.odometry.refuse("its position is not a number. The rest is used");
@@ -484,8 +508,16 @@ impl Track {
         }
         if self.not_present > 0 {
             notes.push(format!(
-                "{} of {all} readings report that there is no battery (`present` is false)",
+                "{} of {all} readings report that there is no battery (`present` is false), and have \
+                 its voltage",
                 self.not_present
+            ));
+        }
+        if self.frames.len() > 1 {
+            notes.push(format!(
+                "its messages name several frames ({}): several publishers share the topic, and \
+                 their readings are mixed",
+                self.frames.iter().map(|frame| format!("{frame:?}")).collect::<Vec<_>>().join(", ")
             ));
         }
         if self.unknown_soc > 0 {

@@ -381,3 +381,141 @@ fn a_monitor_that_does_not_answer_now_and_then_is_found() {
         assert!(is_found(&found, Kind::Sentinel, Quantity::Power), "{one:?}: {found:?}");
     }
 }
+
+/// Changes one reading: its number in the recording, and what would be right.
+type Plant = fn(usize, &mut Observation, &mut f64);
+
+/// Voltage and current of another meter.
+fn product(seen: &mut Observation) {
+    seen.power_w = seen.voltage_v * seen.current_a;
+}
+
+/// Kinds of faults that are of one quantity, or of its place among the others, each with the worst
+/// finding that it has to have.
+#[test]
+fn faults_of_each_quantity_are_found() {
+    use Quantity::{Current, Power};
+    let cases: [(&str, Kind, Quantity, bool, Plant); 11] = [
+        ("an energy so far", Kind::Unit, Power, true, |_, seen, sum| {
+            *sum += 0.1 * seen.power_w;
+            (seen.power_w, seen.voltage_v, seen.current_a) = (*sum, f64::NAN, f64::NAN);
+        }),
+        ("an energy that begins again", Kind::Unit, Power, true, |at, seen, sum| {
+            *sum = if at % 300 == 299 { 0.0 } else { *sum + 0.1 * seen.power_w };
+            (seen.power_w, seen.voltage_v, seen.current_a) = (*sum, f64::NAN, f64::NAN);
+        }),
+        ("a charge so far", Kind::Unit, Current, true, |_, seen, sum| {
+            *sum += 0.01 * seen.current_a;
+            seen.current_a = *sum;
+            product(seen);
+        }),
+        ("two meters in turn", Kind::Sources, Current, true, |at, seen, _| {
+            seen.current_a *= if at % 2 == 0 { 1.0 } else { 0.05 };
+            product(seen);
+        }),
+        ("two meters of power in turn", Kind::Sources, Power, true, |at, seen, _| {
+            seen.power_w *= if at % 2 == 0 { 1.0 } else { 0.4 };
+            (seen.voltage_v, seen.current_a) = (f64::NAN, f64::NAN);
+        }),
+        ("every tenth of the other sign", Kind::Sign, Power, true, |at, seen, _| {
+            seen.v_mps = if seen.v_mps > 0.0 { 0.5 } else { 0.0 };
+            let size = if seen.v_mps > 0.0 { 2.5 } else { 1.0 };
+            seen.power_w =
+                size * (1.0 + 0.02 * (at as f64).sin()) * if at % 10 == 0 { -20.0 } else { 20.0 };
+            (seen.voltage_v, seen.current_a) = (12.0, seen.power_w / 12.0);
+            seen.v_measured_mps = seen.v_mps;
+        }),
+        (
+            "the other sign from the middle on, power alone",
+            Kind::Sign,
+            Power,
+            true,
+            |at, seen, _| {
+                seen.v_mps = if seen.v_mps > 0.0 { 0.5 } else { 0.0 };
+                let size = if seen.v_mps > 0.0 { 2.5 } else { 1.0 };
+                seen.power_w =
+                    size * (1.0 + 0.02 * (at as f64).sin()) * if at > 600 { -20.0 } else { 20.0 };
+                (seen.voltage_v, seen.current_a) = (f64::NAN, f64::NAN);
+                seen.v_measured_mps = seen.v_mps;
+            },
+        ),
+        ("a register of 20 bits around 0", Kind::Saturation, Current, true, |at, seen, _| {
+            let small_a = 0.004 * (0.9 * at as f64).sin() + 0.0005;
+            if seen.v_mps == 0.0 {
+                seen.current_a = if small_a < -0.003 { 20.0 + small_a } else { small_a.abs() };
+            }
+            product(seen);
+        }),
+        ("a dead band", Kind::Sentinel, Power, false, |_, seen, _| {
+            if seen.v_mps == 0.0 {
+                (seen.power_w, seen.current_a) = (0.0, 0.0);
+            }
+        }),
+        ("another power at rest", Kind::Mismatch, Power, false, |_, seen, _| {
+            seen.power_w *= if seen.v_mps == 0.0 { 8.0 } else { 1.0 };
+        }),
+        ("a charge divided by 100", Kind::Unit, Quantity::Soc, true, |_, seen, _| {
+            (seen.soc, seen.v_mps) = (0.0065, 0.3);
+            (seen.power_w, seen.current_a) = (f64::NAN, f64::NAN);
+        }),
+    ];
+    for one in robots().filter(|one| one.rate_hz == 10.0) {
+        for (what, kind, quantity, is_error, plant) in cases {
+            // Its register ends within what the largest draws.
+            if what.starts_with("a register") && one.idle_w > 20.0 {
+                continue;
+            }
+            let mut rows = one.rows();
+            let mut sum = 0.0;
+            for (at, seen) in rows.iter_mut().enumerate() {
+                plant(at, seen, &mut sum);
+            }
+            let found = judged(Known::default().whole(), &rows);
+            let found_one =
+                found.iter().find(|one| one.kind == kind && one.quantity == Some(quantity));
+            let is_as_bad = found_one.is_some_and(|one| one.is_error() == is_error);
+            assert!(is_as_bad, "{what}: {one:?}: {found:?}");
+        }
+    }
+}
+
+/// What brakes, switches or is coarse has none of these faults.
+#[test]
+fn loads_that_switch_and_robots_that_feed_back_are_no_faults_of_these_kinds() {
+    let cases: [(&str, Plant); 4] = [
+        ("a load that switches for half a second", |at, seen, _| {
+            seen.current_a *= if at % 10 < 5 { 1.0 } else { 3.0 };
+            product(seen);
+        }),
+        ("a load that switches at random", |at, seen, sum| {
+            *sum = (*sum * 69_069.0 + 1.0 + at as f64) % 65_537.0;
+            seen.current_a *= if *sum < 32_768.0 { 1.0 } else { 3.0 };
+            product(seen);
+        }),
+        ("energy fed back on half of the way", |at, seen, _| {
+            if at % 100 < 30 && seen.v_mps > 0.0 {
+                seen.current_a *= -0.4;
+                product(seen);
+            }
+        }),
+        ("values that are read every second row", |at, seen, sum| {
+            if at % 2 == 0 {
+                *sum = seen.current_a;
+            }
+            seen.current_a = *sum;
+            product(seen);
+        }),
+    ];
+    for one in robots().filter(|one| one.rate_hz == 10.0) {
+        for (what, plant) in cases {
+            let mut rows = one.rows();
+            let mut sum = 0.0;
+            for (at, seen) in rows.iter_mut().enumerate() {
+                plant(at, seen, &mut sum);
+            }
+            let found = judged(Known::default().whole(), &rows);
+            let is_one = |one: &&Finding| one.kind != Kind::Unit;
+            assert_eq!(found.iter().find(is_one), None, "{what}: {one:?}");
+        }
+    }
+}

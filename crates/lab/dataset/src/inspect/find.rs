@@ -23,13 +23,22 @@ pub struct Found {
 impl Found {
     /// Ignored and repeated files, as messages.
     pub fn remarks(&self) -> impl Iterator<Item = String> {
+        let mut ways = Vec::new();
         let remark = |files: &[PathBuf], what: &str| {
             let first = files.first()?.display().to_string();
             Some(format!("{} {what}, the first {first}", files.len()))
         };
         let others = remark(&self.others, "other files in the directories are ignored");
+        let mut kinds = Vec::new();
+        for file in &self.others {
+            let kind = foreign::of_file(file).or_else(|| foreign::of_name(file));
+            if let Some(kind) = kind.filter(|kind| !kinds.contains(kind)) {
+                kinds.push(kind);
+                ways.push(format!("{} is {kind}", file.display()));
+            }
+        }
         let repeated = remark(&self.repeated, "files are named more than once. Each is used once");
-        others.into_iter().chain(repeated)
+        others.into_iter().chain(ways).chain(repeated)
     }
 }
 
@@ -119,7 +128,7 @@ fn take(path: &Path, found: &mut Found) -> Result<(), FindError> {
         let mut others: Vec<&PathBuf> = found.others[others..].iter().collect();
         others.sort_by_key(|file| !ends_in(file, "parquet"));
         let other = others.into_iter().find_map(|file| {
-            let kind = foreign::of_file(file)?;
+            let kind = foreign::of_file(file).or_else(|| foreign::of_name(file))?;
             Some(format!("; {} is {kind}", file.display()))
         });
         return Err(FindError::NoRecordings {
@@ -218,6 +227,10 @@ mod tests {
             names.collect::<Vec<_>>()
         };
         assert_eq!(found(folder.path()), names);
+        let remarks: Vec<String> = find(&[folder.path()]).unwrap().remarks().collect();
+        for part in ["3 other files", "D.MAT is a MATLAB file", "E.PARQUET is a Parquet file"] {
+            assert!(remarks.iter().any(|remark| remark.contains(part)), "{part}: {remarks:?}");
+        }
         for (pattern, expected) in [
             ("*.csv", &["A.CSV", "f.csv"][..]),
             ("*.CSV", &["A.CSV", "f.csv"]),

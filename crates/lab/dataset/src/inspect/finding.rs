@@ -45,6 +45,8 @@ pub enum FindingKind {
     Constant,
     /// A number that stands for no reading.
     Sentinel,
+    /// Readings of two sources in turn.
+    Sources,
     /// A reading that is held far longer than usual.
     Stuck,
     /// No final newline: the file may be truncated.
@@ -80,6 +82,7 @@ impl FindingKind {
             Kind::Saturation => Some(Self::Saturation),
             Kind::Constant => Some(Self::Constant),
             Kind::Sentinel => Some(Self::Sentinel),
+            Kind::Sources => Some(Self::Sources),
             _ => None,
         }
     }
@@ -127,6 +130,7 @@ impl fmt::Display for FindingKind {
             Self::Saturation => "monitors at the end of their range",
             Self::Constant => "readings that never change",
             Self::Sentinel => "numbers that stand for no reading",
+            Self::Sources => "recordings of several sources in turn",
             Self::Unit => "columns that seem to be in another unit",
             Self::Stuck => "readings held too long",
             Self::CutOff => "files that may be truncated",

@@ -16,8 +16,9 @@ use joulebus_capture_format::{Frame, ReadError, Reader};
 use joulebus_wire::{Sample, Samples, sample_flag as flag};
 
 use super::TrialError;
+use super::layout::{mapped, said};
 use super::limits::{InMemory, MCAP_MAGIC};
-use super::table::{Cell, Column, Table, Take};
+use super::table::{Cell, Column, Table, Take, check_value};
 
 /// Bytes within which the first record of a capture names its writer.
 const HEAD_BYTES: u64 = 64;
@@ -272,15 +273,23 @@ fn table(path: &Path, name: &str, samples: &[Sample]) -> Result<Table, TrialErro
         let own = Some(sample);
         let v_mps = command.map_or(f32::NAN, |command| command.v_mps);
         let omega_radps = command.map_or(f32::NAN, |command| command.omega_radps);
-        for (column, value) in [
+        let mut values = [f64::NAN; Column::ALL.len()];
+        let columns = [
             (Column::V, known(flag::V, v_mps, command)),
             (Column::Omega, known(flag::OMEGA, omega_radps, command)),
             (Column::Voltage, known(flag::VOLTAGE, sample.voltage_v, own)),
             (Column::Current, known(flag::CURRENT, sample.current_a, own)),
             (Column::Power, known(flag::POWER, sample.power_w, own)),
             (Column::Soc, known(flag::SOC, sample.soc, own)),
-        ] {
-            table.push(cell, column, column.recorded(value))?;
+        ];
+        for (column, value) in columns {
+            check_value(cell, column.name(), column, value)?;
+            values[column as usize] = column.recorded(value);
+        }
+        let said = said(&values, false);
+        mapped(&mut values, said);
+        for (column, _) in columns {
+            table.push_checked(column, values[column as usize]);
         }
         command = Some(sample);
         stamp_ns = sample.stamp_ns;

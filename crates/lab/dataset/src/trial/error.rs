@@ -186,8 +186,8 @@ pub enum TrialError {
     },
     /// Required columns are missing.
     #[error(
-        "{path}: no column for {missing}, found {found}. Name them with --map, such as \
-         {suggestion} (`joulebus data check --help` lists the accepted names)",
+        "{path}: no column for {missing}, found {found}. {suggestion} (`joulebus data check --help` \
+         lists the accepted names)",
         path = path.display()
     )]
     MissingColumns {
@@ -197,7 +197,9 @@ pub enum TrialError {
         missing: String,
         /// The columns of the header.
         found: String,
-        /// An option that may name them.
+        /// Whether the time is missing, and power.
+        lacks: [bool; 2],
+        /// The options that name them, tried on the first rows.
         suggestion: String,
     },
     /// A capture could not be read.

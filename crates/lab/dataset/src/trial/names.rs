@@ -380,6 +380,13 @@ impl FromStr for MappedColumn {
     }
 }
 
+impl MappedColumn {
+    /// True if the unit is stated.
+    pub(super) const fn names_unit(&self) -> bool {
+        self.states_unit
+    }
+}
+
 impl fmt::Display for MappedColumn {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         out.write_str(&self.text)
@@ -421,6 +428,12 @@ impl ColumnMap {
     #[must_use]
     pub fn discharge_negative(self, turned: bool) -> Self {
         Self { turned, ..self }
+    }
+
+    /// With further columns.
+    pub(super) fn with(mut self, columns: Vec<MappedColumn>) -> Self {
+        self.columns.extend(columns);
+        self
     }
 
     /// Takes the columns from a platform's config. A file that has none of them is read without.
@@ -513,6 +526,24 @@ impl ColumnMap {
         found.map(|column| (column.name.as_str(), column.factor))
     }
 
+    /// The sum of columns and products that a quantity is mapped to, if no column has that name,
+    /// with the factor to the layout's unit, and its text.
+    pub(super) fn sum(
+        &self,
+        quantity: Quantity,
+        names: &[String],
+    ) -> Option<(Vec<Term>, f64, String)> {
+        let found = |column: &&MappedColumn| {
+            column.quantity == quantity
+                && !column.is_constant
+                && matches!(quantity, Quantity::Column(_))
+                && !names.contains(&column.name)
+        };
+        let column = self.columns.iter().find(found)?;
+        let terms = terms(&column.name, column.factor < 0.0, names)?;
+        Some((terms, column.factor.abs(), column.name.clone()))
+    }
+
     /// Numbers that stand for no value.
     pub(super) fn missing(&self) -> Vec<f64> {
         let columns = self.columns.iter().filter(|column| column.quantity == Quantity::Missing);
@@ -590,6 +621,48 @@ impl ColumnMap {
     }
 }
 
+/// A part of a sum: columns that are multiplied.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Term {
+    /// 1 or −1.
+    pub(super) sign: f64,
+    /// Positions of the columns.
+    pub(super) factors: Vec<usize>,
+}
+
+/// The sum `a+b*c-d` of columns, if all of them are there. `is_negative`: a minus stands in front.
+fn terms(text: &str, is_negative: bool, names: &[String]) -> Option<Vec<Term>> {
+    let mut terms = Vec::new();
+    let mut rest = text;
+    let mut sign = if is_negative { -1.0 } else { 1.0 };
+    loop {
+        let mut factors = Vec::new();
+        loop {
+            // The longest name: one may have a sign in it.
+            let fits = |name: &&String| {
+                let behind = rest.strip_prefix(name.as_str());
+                behind.is_some_and(|end| {
+                    end.is_empty() || end.trim_start().starts_with(['+', '-', '*'])
+                })
+            };
+            let named = names.iter().filter(|name| !name.is_empty()).filter(fits);
+            let name = named.max_by_key(|name| name.len())?;
+            factors.push(names.iter().position(|other| other == name)?);
+            rest = rest[name.len()..].trim_start();
+            match rest.strip_prefix('*') {
+                Some(behind) => rest = behind.trim_start(),
+                None => break,
+            }
+        }
+        terms.push(Term { sign, factors });
+        let Some(letter) = rest.chars().next() else {
+            return Some(terms);
+        };
+        sign = if letter == '-' { -1.0 } else { 1.0 };
+        rest = rest[1..].trim_start();
+    }
+}
+
 /// Ends of the name of a column with the nanoseconds of a time.
 const NANOSECONDS: [&str; 4] = ["nanosec", "nanosecs", "nsecs", "nsec"];
 
@@ -602,44 +675,34 @@ fn is_converted(names: &[String]) -> bool {
         && names.iter().all(|name| own.any(|one| one == name))
 }
 
-/// True if a number may have this unit behind it, because it is that of its column.
-pub(super) fn is_unit(column: Column, unit: &str, factor: f64) -> bool {
-    let mut units = spelling(of(column)).units.iter();
-    let unit = unit.to_lowercase();
-    units.any(|(name, of_unit)| *name == unit && *of_unit == factor.abs())
+/// The factor to the layout's unit of a unit behind a number.
+pub(super) fn unit_factor(column: Column, unit: &str) -> Option<f64> {
+    let unit = if unit == "%" { "percent" } else { &unit.to_lowercase() };
+    let mut units = spelling(of(column)).units.iter().filter(|(name, _)| !name.is_empty());
+    units.find(|(name, _)| *name == unit).map(|(_, factor)| *factor)
 }
 
-/// A mapping with the columns of a file that may be the time or the power that it lacks, for
-/// messages.
-pub(super) fn suggestion(names: &[String], [time, power]: [bool; 2]) -> String {
-    const WANTED: [(&str, &str, &[&str]); 4] = [
-        ("time_s", "t", &["time", "stamp", "date", "zeit"]),
-        ("voltage_V", "u", &["volt", "vbat", "spannung"]),
-        ("current_A", "i", &["curr", "amper", "strom"]),
-        ("power_W", "p", &["power", "watt", "leistung"]),
-    ];
-    let like = |words: &[&str]| {
-        let fits = |name: &&String| {
-            let name = name.to_lowercase();
-            words.iter().any(|word| name.contains(word))
-        };
-        names.iter().find(fits).map(String::as_str)
+/// True for a usual name of a column that states no unit.
+pub(super) fn is_bare(column: Column, name: &str) -> bool {
+    spelling(of(column)).others.contains(&&*plain(name))
+}
+
+/// The option for a column that looks like a command, if its quantity is not read already: words of
+/// its name, in lower case.
+pub(crate) fn command_option(name: &str, reads_v: bool, reads_omega: bool) -> Option<String> {
+    const TURNS: [&str; 7] = ["ang", "omega", "yaw", "rot", "turn", "theta_dot", "wz"];
+    const DRIVES: [&str; 5] = ["vel", "speed", "linear", "lin_", "vx"];
+    const MEASURED: [&str; 10] =
+        ["meas", "actual", "odom", "wheel", "wind", "fan", "rpm", "acc", "imu", "gyro"];
+    let plain = plain(name).replace("level", "");
+    let name_is = |words: &[&str]| words.iter().any(|word| plain.contains(word));
+    let (quantity, is_read) = match (name_is(&TURNS), name_is(&DRIVES)) {
+        _ if name_is(&MEASURED) => return None,
+        (true, true) => ("omega_radps", reads_omega),
+        (false, true) => ("v_mps", reads_v),
+        _ => return None,
     };
-    let found = WANTED.map(|(quantity, other, words)| (quantity, other, like(words)));
-    let has = |at: usize| found[at].2.is_some();
-    let of_power: &[usize] = match (has(1) && has(2), has(3)) {
-        (true, _) => &[1, 2],
-        (false, true) => &[3],
-        (false, false) if power => return "--map time=t,power_W=p".to_owned(),
-        (false, false) => &[],
-    };
-    let of_time = time.then_some(&0).into_iter();
-    let columns = of_time.chain(of_power.iter().filter(|_| power)).map(|at| {
-        let (quantity, other, name) = found[*at];
-        format!("{quantity}={}", name.unwrap_or(other))
-    });
-    let columns: Vec<String> = columns.collect();
-    format!("--map '{}' with the units that they have", columns.join(","))
+    (!is_read).then(|| format!("--map '{quantity}={name}'"))
 }
 
 /// Accepted names of a quantity, for messages.

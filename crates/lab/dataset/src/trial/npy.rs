@@ -6,8 +6,9 @@ use std::path::Path;
 
 use crate::npy::{Header, HeaderError};
 
+use super::layout::{mapped, said};
 use super::limits::InMemory;
-use super::table::{Cell, Column, LeftOut, Tables, Take};
+use super::table::{Cell, Column, LeftOut, Tables, Take, check_value};
 use super::{ColumnMap, TrialError};
 
 const WIDTH: usize = 11;
@@ -158,8 +159,16 @@ fn take_row(
     }
     let table = tables.of(cell, &last.1)?;
     table.push_time(cell, at(TIME))?;
-    for (column, position) in Column::ALL.into_iter().zip(TIME + 1..WIDTH) {
-        table.push(cell, column, at(position))?;
+    let mut values = [f64::NAN; Column::ALL.len()];
+    let columns = || Column::ALL.into_iter().zip(TIME + 1..WIDTH);
+    for (column, position) in columns() {
+        values[column as usize] = at(position);
+        check_value(cell, column.name(), column, column.si(at(position)))?;
+    }
+    let said = said(&values, false);
+    mapped(&mut values, said);
+    for (column, _) in columns() {
+        table.push_checked(column, values[column as usize]);
     }
     Ok(())
 }

@@ -170,6 +170,8 @@ pub struct Table {
     pub(crate) headers: Vec<u32>,
     /// Position of another recording that was appended to its file, if any.
     pub(crate) appended: Option<Appended>,
+    /// A column of few words by which its rows alternate, as those of several sources.
+    pub(crate) apart: Option<String>,
 }
 
 /// Position of a recording that was appended to a file.
@@ -188,6 +190,8 @@ const MAX_SET_BACK: usize = 20;
 /// Ages up to which values of other rows count, s: of commands, and of measurements, as in a bag.
 const COMMAND_AGE_S: f64 = joulebus_plausibility::COMMAND_HOLDS_S;
 const MEASURED_AGE_S: f64 = 1.0;
+/// Times that fall, and none that rises, before rows are newest first.
+const MIN_FALLS: usize = 2;
 /// Values of a column before it shows whether rows are sparse, and the share of them that are in
 /// rows with a reading.
 const MIN_SPARSE: usize = 10;
@@ -405,18 +409,6 @@ impl Table {
         &self.ignored_columns
     }
 
-    /// Appends a value of `column` in the unit of the file.
-    pub(crate) fn push(
-        &mut self,
-        cell: Cell<'_>,
-        column: Column,
-        recorded: f64,
-    ) -> Result<(), TrialError> {
-        check_value(cell, column.name(), column, column.si(recorded))?;
-        self.push_checked(column, recorded);
-        Ok(())
-    }
-
     /// Appends a value of `column` in SI units, for a table in SI units.
     pub(super) fn push_si(
         &mut self,
@@ -472,6 +464,7 @@ impl Table {
                 states_time_unit: self.states_time_unit,
                 is_turned: self.is_turned,
                 on_charger: self.on_charger.clone(),
+                apart: self.apart.clone(),
                 is_part,
                 appended: self.appended.take(),
                 ..self.take_first(start - taken)
@@ -573,6 +566,28 @@ impl Table {
             "each row has only some of the columns, as PlotJuggler writes them. The {readings} of {rows} rows \
              with a reading are kept. Commands are held for {COMMAND_AGE_S} s, other values for {MEASURED_AGE_S} s"
         ))
+    }
+
+    /// Puts rows in the order of time, if they are newest first. True if they were.
+    pub(super) fn oldest_first(&mut self) -> bool {
+        let steps = || self.timestamp_s.windows(2).map(|pair| pair[1] - pair[0]);
+        let falls = steps().filter(|step_s| *step_s < 0.0).count();
+        let rises = steps().filter(|step_s| *step_s > 0.0).count();
+        let descends = !self.is_part && rises == 0 && falls >= MIN_FALLS;
+        if descends {
+            self.timestamp_s.reverse();
+            self.file_row.reverse();
+            self.columns.iter_mut().flatten().for_each(|values| values.reverse());
+        }
+        descends
+    }
+
+    /// True if a row of the file is among its rows, which are in the order of the file or against
+    /// it.
+    pub(super) fn has_file_row(&self, row: u32) -> bool {
+        let is_turned = self.file_row.first() > self.file_row.last();
+        let order = |other: &u32| if is_turned { row.cmp(other) } else { other.cmp(&row) };
+        self.file_row.binary_search_by(order).is_ok()
     }
 
     /// Removes the first rows, which are then a table of their own.

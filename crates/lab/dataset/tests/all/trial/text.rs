@@ -377,22 +377,306 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
     assert!(matches!(Trial::read(other), Err(TrialError::Value { .. })));
 }
 
+/// Options are tried on the first rows: those that leave a finding, or a time that repeats, are not
+/// proposed. Of several none is chosen.
 #[test]
-fn what_is_missing_is_named_with_the_columns_of_the_file_that_it_may_be() {
+fn what_is_missing_is_named_with_the_options_that_work() {
     let files = Files::new();
-    for (header, suggested) in [
-        ("Time,Voltage,Current,Power", "--map 'voltage_V=Voltage,current_A=Current'"),
-        ("at_date,power_W", "--map 'time_s=at_date'"),
+    let number = |step: u32| {
+        let step = f64::from(step);
+        (0.1 * step, 12.0 - 0.01 * (0.3 * step).sin(), 0.5 + 0.1 * (0.7 * step).sin())
+    };
+    type Line = fn(u32, (f64, f64, f64)) -> String;
+    let cases: [(&str, Line, &[&str], &[&str]); 8] = [
         (
-            "Timestamp,/System/BatteryVoltage,/System/BatteryCurrent",
-            "voltage_V=/System/BatteryVoltage,current_A=/System/BatteryCurrent",
+            "Time,Voltage,Current,Power",
+            |_, (t, u, i)| format!("{t:.1},{u:.3},{i:.4},{:.4}", u * i),
+            &[
+                "--map 'voltage_V=Voltage,current_A=Current'",
+                "--map 'power_W=Power'",
+                "none is chosen",
+            ],
+            &["sum"],
         ),
-        ("a,b", "time=t,power_W=p"),
-    ] {
-        let path = files.write("log.csv", format!("{header}\n0,1,2,3\n").as_bytes());
-        let error = Trial::read(path).unwrap_err().to_string();
-        assert_contains(&error, [suggested]);
+        (
+            "at_date,power_W",
+            |_, (t, u, i)| format!("{t:.1},{:.4}", u * i),
+            &["Name them: --map 'time_s=at_date'"],
+            &[],
+        ),
+        (
+            "epoch_ms,local_time,seconds_from_start,watts,kwh",
+            |at, (t, u, i)| {
+                let second = 40 + at / 10;
+                format!(
+                    "{},2026-04-07 10:59:{second},{t:.1},{:.4},0.1",
+                    1_775_556_000_000 + u64::from(at) * 100,
+                    u * i
+                )
+            },
+            &["time_ms=epoch_ms,power_W=watts", "time_s=seconds_from_start,power_W=watts"],
+            &["=local_time", "=kwh"],
+        ),
+        (
+            "TimeUS,Inst,Volt,Curr,CurrTot",
+            |at, (_, u, i)| {
+                let scale = if at % 2 == 0 { 1.0 } else { 0.1 };
+                format!("{},{},{u:.3},{:.4},0.1", 12_000_000 + at * 50_000, at % 2, scale * i)
+            },
+            &["Name them: --map 'time_us=TimeUS,voltage_V=Volt,current_A=Curr,robot=Inst'"],
+            &[],
+        ),
+        (
+            "time_s,voltage_1_V,current_1_A,voltage_2_V,current_2_A",
+            |_, (t, u, i)| format!("{t:.1},{u:.3},{i:.4},{u:.3},{:.4}", 0.7 * i),
+            &[
+                "--map 'voltage=voltage_1_V,current=current_1_A', or --map 'voltage=voltage_2_V,current=current_2_A'",
+                "their sum: --map 'power_W=voltage_1_V*current_1_A+voltage_2_V*current_2_A'",
+            ],
+            &[],
+        ),
+        (
+            "interval_ms,power_mW",
+            |_, (_, u, i)| format!("100,{:.4}", u * i * 1e3),
+            &["df['interval_ms'].cumsum() / 1000"],
+            &["--map"],
+        ),
+        (
+            "a,b",
+            |_, (t, u, i)| format!("{t:.1},{:.4}", u * i),
+            &["such as --map time=t,power_W=p"],
+            &[],
+        ),
+        // No unit of it is that of a robot.
+        (
+            "time,power",
+            |_, (t, u, i)| format!("{t:.1},{:.4}", u * i * 1e6),
+            &["such as"],
+            &["power_W=power"],
+        ),
+    ];
+    for (header, line, parts, never) in cases {
+        let lines: String = (0..120).map(|at| line(at, number(at)) + "\n").collect();
+        let path = files.write("log.csv", format!("{header}\n{lines}").as_bytes());
+        let error = Trial::read(&path).unwrap_err().to_string();
+        assert_contains(&error, parts);
+        for part in never {
+            assert!(!error.contains(part), "{part}: {error}");
+        }
+        // Each works on the whole file.
+        for option in error.split("--map '").skip(1) {
+            let columns = mapped(option.split('\'').next().unwrap());
+            let trials = Trial::read_mapped(&path, &columns).unwrap();
+            let found = trials.iter().flat_map(|trial| judge(trial, &Limits::default()));
+            assert_eq!(found.filter(|one| one.finding.is_error()).count(), 0, "{option}");
+        }
     }
+}
+
+/// Forms of numbers, times and rows that were found in public logs.
+#[test]
+fn forms_of_rows_that_can_mean_one_thing_are_read() {
+    let files = Files::new();
+    type Line = fn(u32) -> String;
+    let dated = 1_775_559_580.0;
+    // Header, a row, `--map`, the first time, the period, and a note.
+    let cases: [(&str, Line, &str, f64, f64, &str); 14] = [
+        (
+            "Timestamp,Power_W",
+            |at| format!("04/07/2026 10:59:4{}.{}00000 AM,{}", at / 10, at % 10, at + 5),
+            "-",
+            dated,
+            0.1,
+            "month, day and year",
+        ),
+        (
+            "Timestamp,Power_W",
+            |at| format!("07.04.2026 10:59:4{}.{}00,{}", at / 10, at % 10, at + 5),
+            "-",
+            dated,
+            0.1,
+            "-",
+        ),
+        (
+            "timestamp,power_W",
+            |at| format!("Tue Apr 07 2026 12:59:{} GMT+0200 (CEST),{}", 40 + at, at + 5),
+            "-",
+            dated,
+            1.0,
+            "-",
+        ),
+        (
+            "time,power_W",
+            |at| format!("59:4{}.{},{}", at / 10, at % 10, at + 5),
+            "-",
+            3_580.0,
+            0.1,
+            "without the hour",
+        ),
+        (
+            "asctime,power_W,x",
+            |at| format!("2026-04-07 10:59:4{},{}00,{},0", at / 10, at % 10, at + 5),
+            "time=asctime",
+            dated,
+            0.1,
+            "-",
+        ),
+        ("t,power_mW", |at| format!("{at},\"{},000.0\"", at + 5), "time_s=t", 0.0, 1.0, "-"),
+        (
+            "Time,Power",
+            |at| {
+                if at == 3 {
+                    "2026-04-07 10:59:43,8 W".to_owned()
+                } else {
+                    format!("2026-04-07 10:59:{},{} mW", 40 + at, (at + 5) * 1000)
+                }
+            },
+            "-",
+            dated,
+            1.0,
+            "-",
+        ),
+        (
+            "Date,Time,Power_W",
+            |at| format!("2026-04-0{},10:59:{},{}", 7 + at / 10, 40 + at % 10, at + 5),
+            "-",
+            dated,
+            1.0,
+            "-",
+        ),
+        (
+            "timestamp,power_W",
+            |at| format!("2026-04-07T10:59:{},{}", 59 - at, 24 - at),
+            "-",
+            dated,
+            1.0,
+            "newest first",
+        ),
+        (
+            "timestamp,power_W",
+            |at| format!("{},{}", 1_775_559_599_000_u64 - u64::from(at) * 1_000, 24 - at),
+            "-",
+            dated,
+            1.0,
+            "newest first",
+        ),
+        ("t,a,b", |at| format!("{at},{},2", at + 3), "time_s=t,power_W=a+b", 0.0, 1.0, "-"),
+        ("t,a,b", |at| format!("{at},{},2", at + 7), "time_s=t,power_W=a-b", 0.0, 1.0, "-"),
+        (
+            "t,u 1,i-1,c",
+            |at| format!("{at},2,{},3", f64::from(at + 2) / 2.0),
+            "time_s=t,power_W=u 1*i-1+c",
+            0.0,
+            1.0,
+            "-",
+        ),
+        ("t,power_W,vx,vy", |at| format!("{at},{},0.3,0.4", at + 5), "time_s=t", 0.0, 1.0, "-"),
+    ];
+    for (header, line, columns, first_s, period_s, note) in cases {
+        let lines: String = (0..20).map(|at| line(at) + "\n").collect();
+        let trial = read(&files, &format!("{header}\n{lines}"), columns);
+        let trial = trial.unwrap_or_else(|error| panic!("{header}: {error}"));
+        let times_s = trial.timestamp_s();
+        assert!((times_s[0] - first_s).abs() < 1e-6, "{header}: {times_s:?}");
+        assert!((times_s[1] - times_s[0] - period_s).abs() < 1e-6, "{header}: {times_s:?}");
+        let power_w = trial.column(Column::Power).unwrap();
+        let expected: Vec<f64> = (5..25).map(f64::from).collect();
+        let is_near = |(found, expected): (&f64, &f64)| (found - expected).abs() < 1e-9;
+        assert!(power_w.iter().zip(&expected).all(is_near), "{header}: {power_w:?}");
+        let notes = trial.notes().to_string();
+        assert!(note == "-" || notes.contains(note), "{header}: {notes}");
+        if header.ends_with("vy") {
+            assert_eq!(trial.column(Column::V), Some(&[0.5; 20][..]));
+        }
+        if header.starts_with("Date") {
+            assert!((times_s[10] - times_s[9] - 86_391.0).abs() < 1e-6, "{times_s:?}");
+        }
+        if note == "newest first" {
+            assert_eq!((trial.file_row(0), trial.file_row(19)), (20, 1));
+        }
+    }
+    for (header, line, parts) in [
+        (
+            "timestamp,power_W",
+            (|at| format!("1.77556E+12,{at}")) as Line,
+            &["1 different times in 20 rows", "spreadsheet"][..],
+        ),
+        (
+            "time,power_W",
+            |at| format!("07/04/2026 10:59:{},{at}", 40 + at),
+            &["row 1", "07/04/2026"],
+        ),
+        ("t,power_W", |at| format!("{at},\"1,50{}\"", at % 10), &["could separate thousands"]),
+    ] {
+        let lines: String = (0..20).map(|at| line(at) + "\n").collect();
+        let columns = if header.starts_with("t,") { "time_s=t" } else { "-" };
+        let error = read(&files, &format!("{header}\n{lines}"), columns).unwrap_err().to_string();
+        assert_contains(&error, parts);
+    }
+}
+
+/// A remedy is tried before it is told, and a column that tells sources apart, or that looks like a
+/// command, is named.
+#[test]
+fn remedies_that_work_are_told_with_their_columns() {
+    let files = Files::new();
+    let load = |at: u32| 0.5 + 0.1 * (0.7 * f64::from(at)).sin();
+    type Line = fn(u32, f64) -> String;
+    let cases: [(&str, Line, &[&str], &[&str]); 4] = [
+        (
+            "t_s,sensor,power_W",
+            |at, load| {
+                format!(
+                    "{},m{},{}",
+                    f64::from(at) * 0.1,
+                    at % 2,
+                    12.0 * load * if at % 2 == 0 { 1.0 } else { 0.1 }
+                )
+            },
+            &["alternates between two levels", "--map robot=sensor"],
+            &[],
+        ),
+        (
+            "t_s,cmd_speed,power_W",
+            |at, load| format!("{},0.3,{}", f64::from(at) * 0.1, 12.0 * load),
+            &["cmd_speed looks like a command", "--map 'v_mps=cmd_speed'"],
+            &[],
+        ),
+        (
+            "t_s,voltage_V,current_A",
+            |at, load| format!("{},{},{}", f64::from(at) * 0.1, 12.0 - 0.01 * load, -load),
+            &["--current discharge-negative"],
+            &[],
+        ),
+        // Turned, it is as wrong: every tenth reading is of the other sign.
+        (
+            "t_s,v_cmd_mps,power_W",
+            |at, load| {
+                format!(
+                    "{},0.3,{}",
+                    f64::from(at) * 0.1,
+                    12.0 * load * if at % 10 == 0 { -1.0 } else { 1.0 }
+                )
+            },
+            &["its sign is not reliable"],
+            &["--current"],
+        ),
+    ];
+    for (header, line, parts, never) in cases {
+        let lines: String = (0..300).map(|at| line(at, load(at)) + "\n").collect();
+        let path = files.write("log.csv", format!("{header}\n{lines}").as_bytes());
+        let found = judge(&Trial::read(path).unwrap(), &Limits::default());
+        let told: String = found.iter().map(|one| one.place.to_string()).collect();
+        assert_contains(&told, parts);
+        for part in never {
+            assert!(!told.contains(part), "{part}: {told}");
+        }
+    }
+}
+
+#[test]
+fn a_time_in_another_unit_is_named() {
+    let files = Files::new();
     for (per_second, unit) in [(1e3, "ms"), (1e6, "us")] {
         let rows =
             (0..200).map(|row| format!("{},{}\n", f64::from(row) * 0.1 * per_second, row % 7));
