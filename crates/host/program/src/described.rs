@@ -291,8 +291,12 @@ impl Group {
 /// The description is another one, or help made of it differs from the program's own.
 pub fn check(file: &Path, verbs: &[Command]) {
     let described: Vec<Verb> = verbs.iter().map(Verb::new).collect();
-    let mut text = serde_json::to_string_pretty(&described).expect("it is plain data");
-    text.push('\n');
+    let text = serde_json::to_string(&described).expect("it is plain data");
+    // A line for each verb, option and value. Quotes within texts have backslashes.
+    let text = ["{\"name\":", "{\"id\":"]
+        .iter()
+        .fold(text, |text, begin| text.replace(begin, &format!("\n{begin}")))
+        + "\n";
     let again: Vec<Verb> = serde_json::from_str(&text).expect("it was just written");
     assert_eq!(again, described);
     for (verb, own) in Vec::leak(again).iter().zip(verbs) {
