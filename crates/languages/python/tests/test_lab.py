@@ -168,6 +168,8 @@ def test_every_figure_of_a_report_is_written_as_svg_and_pdf(files, tmp_path):
     assert refused.returncode == 1 and "there is no figure none, allowed are figure-" in refused.stderr
     with pytest.raises(ValueError, match="battery_wh is 0, allowed is 0.001 to"):
         joulebus.report(files[:2], MODEL, battery_wh=0)
+    without = joulebus.report(files[:2])
+    assert "table-speed" in without.tables and without.data != joulebus.report(files[:2], MODEL).data
 
 
 
