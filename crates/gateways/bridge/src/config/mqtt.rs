@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::config::check::Check;
 use crate::config::tls::TlsSettings;
-use crate::mapping::fields::{Fields, Flag, Number, ValuePath};
+use crate::mapping::fields::{Fields, Flag, Number, ValuePath, connection_topic};
 use crate::mapping::outgoing::{OutgoingValue, What, quantity, value_names};
 use crate::mapping::robots::Robots;
 use crate::mapping::route::Route;
@@ -84,6 +84,14 @@ impl Check<'_> {
             let pass_on =
                 to.as_ref().and_then(|to| self.checked(to, Template::parse(to, self.fleet, true)));
             passed.extend(to.zip(pass_on.clone()));
+            if let Some(Route { name, pattern, .. }) = &route
+                && let Some(topic) = connection_topic(name)
+                && let Ok(of_connection) = Pattern::parse(&topic)
+                && pattern.has_robot()
+            {
+                let fields = Fields::vda5050_connection();
+                routes.push(Route { name: topic, pattern: of_connection, fields, pass_on: None });
+            }
             routes.extend(route.map(|route| Route { pass_on, ..route }));
         }
         let vizier = section.section("vizier").map(|section| {

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
+use joulebus_plausibility::Unusable;
 use serde::Serialize;
 
 /// Maximum number of names kept for each route and reason, because messages may contain any name.
@@ -47,6 +48,10 @@ pub(crate) enum Reason {
     WrongStamp,
     /// Retained by the broker, so of unknown age.
     Retained,
+    /// Made long before it arrived, or by a clock that differs. It counts all the same.
+    Late,
+    /// A topic that no route reads.
+    NoRoute,
     /// A field that none of the first messages of a robot had.
     NeverCame,
     /// An answer without a request of this bridge.
@@ -55,6 +60,16 @@ pub(crate) enum Reason {
     NoAnswer,
     /// An answer that reports a failure or has no body.
     Refused,
+}
+
+impl From<Unusable> for Reason {
+    fn from(why: Unusable) -> Self {
+        match why {
+            Unusable::NotFinite => Self::NotFinite,
+            Unusable::OutOfRange => Self::OutOfRange,
+            Unusable::Unknown => Self::Unknown,
+        }
+    }
 }
 
 impl Reason {
@@ -75,6 +90,8 @@ impl Reason {
             Self::Unknown => "unknown",
             Self::WrongStamp => "wrong_stamp",
             Self::Retained => "retained",
+            Self::Late => "late",
+            Self::NoRoute => "no_route",
             Self::NeverCame => "never_came",
             Self::NotAsked => "not_asked",
             Self::NoAnswer => "no_answer",
@@ -82,10 +99,18 @@ impl Reason {
         }
     }
 
-    /// True if a value was lost. Retained messages are skipped on purpose, robots that are switched
-    /// off do not answer, and a field that never came, or that is unknown, is not lost.
+    /// True if a value was lost. Retained messages are skipped on purpose, a filter may match topics
+    /// of others, robots that are switched off do not answer, and a field that never came, or that is unknown, is not lost.
     const fn is_loss(self) -> bool {
-        !matches!(self, Self::Unknown | Self::Retained | Self::NoAnswer | Self::NeverCame)
+        !matches!(
+            self,
+            Self::Unknown
+                | Self::Retained
+                | Self::Late
+                | Self::NoAnswer
+                | Self::NoRoute
+                | Self::NeverCame
+        )
     }
 }
 

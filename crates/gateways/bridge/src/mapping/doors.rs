@@ -21,6 +21,8 @@ const TABLE: &str = "
 |---|---|---|---|---|
 |  | nothing | read | read | read |
 | `sign` | a current of the other sign | alarm | alarm | alarm |
+| `sign` | the other sign in every tenth reading | alarm | alarm | alarm |
+| `sources` | the currents of two meters in turn | alarm | alarm | alarm |
 | `unit` | mV, mA and mW without a unit in the mapping | alarm | alarm | alarm |
 | `unit` | a charge of 0 to 100 where a share is expected, or the other way round | alarm | alarm | alarm |
 | `unit` | mV beside A without a unit in the mapping | alarm | alarm | alarm |
@@ -43,9 +45,11 @@ const TABLE: &str = "
 ";
 
 /// Planted faults, each with its finding.
-const PLANTED: [(&str, &str); 20] = [
+const PLANTED: [(&str, &str); 22] = [
     ("", "nothing"),
     ("sign", "a current of the other sign"),
+    ("sign", "the other sign in every tenth reading"),
+    ("sources", "the currents of two meters in turn"),
     ("unit", "mV, mA and mW without a unit in the mapping"),
     ("unit", "a charge of 0 to 100 where a share is expected, or the other way round"),
     ("unit", "mV beside A without a unit in the mapping"),
@@ -77,6 +81,8 @@ fn robot(step: u64, planted: &str) -> [f64; 4] {
     match planted {
         "a monitor at 2^15 − 1" if step % 7 < 4 => load_a = 3.2767,
         "−999 in every tenth reading" if step.is_multiple_of(10) => load_a = -999.0,
+        "the other sign in every tenth reading" if step.is_multiple_of(10) => load_a = -load_a,
+        "the currents of two meters in turn" if step.is_multiple_of(2) => load_a *= 0.1,
         "a current of 0 in every reading" => load_a = 0.0,
         _ if planted.starts_with("a current of 0.01 A") => load_a = 0.01,
         _ if planted.starts_with("a current of −1 A") => load_a = -1.0,

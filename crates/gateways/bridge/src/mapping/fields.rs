@@ -1,9 +1,11 @@
 //! Values in a JSON document: their positions, units and signs.
 
+use joulebus_plausibility::moment::{self, TimeForm};
+use joulebus_plausibility::{Field, Said};
 use serde_json::Value;
 
 use crate::mapping::account::Reason;
-use crate::mapping::observation::{Observation, PowerOf, PowerReading};
+use crate::mapping::observation::{Observation, PowerOf};
 use crate::mapping::units::{Quantity, Unit};
 
 /// The position of a value in a document.
@@ -57,14 +59,14 @@ impl Number {
         Self { path: ValuePath::at(path), unit: quantity.si(), negate: false }
     }
 
-    /// Reads the value in SI.
-    fn read(&self, document: &Value) -> Result<Option<f32>, Reason> {
+    /// Reads the value in SI, that of a charge in its own unit.
+    fn read(&self, document: &Value) -> Result<Option<f64>, Reason> {
         let Some(found) = self.path.find(document) else {
             return Ok(None);
         };
-        let number = found.as_f64().ok_or(Reason::WrongType)? * self.unit.size;
-        let number = (if self.negate { -number } else { number }) as f32;
-        if number.is_finite() { Ok(Some(number)) } else { Err(Reason::NotFinite) }
+        let number = found.as_f64().ok_or(Reason::WrongType)?;
+        let number = if self.unit.measures_share() { number } else { number * self.unit.size };
+        Ok(Some(if self.negate { -number } else { number }))
     }
 }
 
@@ -112,6 +114,8 @@ pub(crate) struct Fields {
     pub(crate) soc: Option<Number>,
     pub(crate) charging: Option<Flag>,
     pub(crate) full: Option<Flag>,
+    /// Whether the robot is gone.
+    pub(crate) ended: Option<Flag>,
     /// Position of the robot's name, unless the topic has it.
     pub(crate) robot: Option<ValuePath>,
     /// The standard of the documents, if they have one.
@@ -138,12 +142,24 @@ impl Standard {
         (!known).then(|| version.to_string())
     }
 
+    /// Seconds by which the time in a document differs from its arrival, if they are more than
+    /// clocks and networks explain.
+    pub(crate) fn age_s(self, document: &Value, unix_s: f64) -> Option<f64> {
+        let Self::Vda5050 = self;
+        let text = document.get("timestamp")?.as_str()?;
+        let (_, made_s) = moment::parse(text, None).filter(|(form, _)| *form == TimeForm::Date)?;
+        Some(unix_s - made_s).filter(|age_s| !(age_s.abs() <= MAX_AGE_S))
+    }
+
     /// True if the documents must have the field of this name.
     fn demands(self, name: &str) -> bool {
         let Self::Vda5050 = self;
         matches!(name, "soc" | "charging")
     }
 }
+
+/// Age of a message at its arrival that is no news, s.
+const MAX_AGE_S: f64 = 5.0;
 
 /// States of charge that the worker takes.
 pub(crate) const SOC: std::ops::RangeInclusive<f32> = -0.05..=1.05;
@@ -156,36 +172,21 @@ impl Fields {
         document: &Value,
         mut refused: impl FnMut(Reason, &'static str),
     ) -> Observation {
-        let mut number = |field: &Option<Number>, name| {
-            let read = field.as_ref().map_or(Ok(None), |field| field.read(document));
-            read.unwrap_or_else(|reason| {
-                refused(reason, name);
-                None
-            })
+        let mut said = Said {
+            power_of: self.power_of,
+            product_of: self.power_of_current.then_some(PowerOf::Battery),
+            ..Said::default()
         };
-        let mut seen = Observation {
-            v_mps: number(&self.v, "v"),
-            omega_radps: number(&self.omega, "omega"),
-            voltage_v: number(&self.voltage, "voltage"),
-            current_a: number(&self.current, "current"),
-            soc: number(&self.soc, "soc"),
-            ..Observation::default()
-        };
-        // As ROS and VDA 5050 write a charge that is not measured, in whatever unit.
-        let unknown = self.soc.as_ref().map(|soc| -soc.unit.size as f32);
-        let is_unknown = seen.soc.is_some() && seen.soc == unknown;
-        seen.soc = seen.soc.filter(|_| !is_unknown);
-        // It is judged with the others of its robot, and in no sample.
-        let is_odd = seen.soc.is_some_and(|soc| !SOC.contains(&soc));
-        if let Some(vy_mps) = number(&self.vy, "vy").filter(|vy_mps| *vy_mps != 0.0) {
-            let speed_mps = seen.v_mps.map(|v_mps| v_mps.hypot(vy_mps));
-            seen.v_mps = speed_mps.filter(|speed_mps| speed_mps.is_finite());
+        for (field, number) in self.numbers() {
+            match number.read(document) {
+                Ok(Some(value)) => said.set(field, value),
+                Ok(None) => {}
+                Err(reason) => refused(reason, name(field)),
+            }
         }
-        let power_w = number(&self.power, "power");
-        seen.power = power_w.map(|power_w| PowerReading { power_w, of: self.power_of });
-        if self.power_of_current {
-            seen.power_of_current = seen.power.is_none();
-            seen.power = seen.power.or(product(seen.voltage_v, seen.current_a));
+        // As ROS and VDA 5050 write a charge that is not measured, in whatever unit.
+        if let Some(soc) = &self.soc {
+            said.soc_unit = soc.unit.size;
         }
         let mut flag = |field: &Option<Flag>, name| {
             let read = field.as_ref().map_or(Ok(None), |field| field.read(document));
@@ -194,16 +195,26 @@ impl Fields {
                 None
             })
         };
-        seen.charging = flag(&self.charging, "charging");
-        seen.reports_charging = self.charging.is_some();
-        seen.full = flag(&self.full, "full");
-        if is_odd {
-            refused(Reason::OutOfRange, "soc");
-        }
-        if is_unknown {
-            refused(Reason::Unknown, "soc");
-        }
-        seen
+        said.charging = flag(&self.charging, "charging");
+        said.full = flag(&self.full, "full");
+        let has_ended = flag(&self.ended, "ended") == Some(true);
+        let mapped = said.map(|field, why| refused(why.into(), name(field)));
+        let reports_charging = self.charging.is_some();
+        Observation { reports_charging, has_ended, ..Observation::of(&mapped) }
+    }
+
+    /// The numbers that the mapping names.
+    fn numbers(&self) -> impl Iterator<Item = (Field, &Number)> {
+        let all = [
+            (Field::V, &self.v),
+            (Field::Omega, &self.omega),
+            (Field::Voltage, &self.voltage),
+            (Field::Current, &self.current),
+            (Field::Soc, &self.soc),
+            (Field::Vy, &self.vy),
+            (Field::Power, &self.power),
+        ];
+        all.into_iter().filter_map(|(field, number)| Some((field, number.as_ref()?)))
     }
 
     /// The fields that the mapping names, and whether a message had them.
@@ -230,6 +241,17 @@ impl Fields {
             Value::String(name) => Some(name.clone()),
             Value::Number(number) => Some(number.as_u64()?.to_string()),
             _ => None,
+        }
+    }
+
+    /// Fields of a vehicle's `connection` by VDA 5050: whether it is gone.
+    pub(crate) fn vda5050_connection() -> Self {
+        let gone = ["OFFLINE", "CONNECTIONBROKEN", "CONNECTION_BROKEN"];
+        let is = gone.map(Value::from).to_vec();
+        Self {
+            ended: Some(Flag { is, ..Flag::at("/connectionState") }),
+            standard: Some(Standard::Vda5050),
+            ..Self::default()
         }
     }
 
@@ -266,10 +288,26 @@ impl Fields {
     }
 }
 
-/// The battery's power, if both factors are numbers.
-pub(crate) fn product(voltage_v: Option<f32>, current_a: Option<f32>) -> Option<PowerReading> {
-    let power_w = voltage_v? * current_a?;
-    power_w.is_finite().then_some(PowerReading { power_w, of: PowerOf::Battery })
+/// Ends of the topic of a vehicle's state, and of that by which its broker says that it is gone.
+const STATE: &str = "/state";
+const CONNECTION: &str = "/connection";
+
+/// The topic of a vehicle's connection beside that of its state, by VDA 5050.
+pub(crate) fn connection_topic(state: &str) -> Option<String> {
+    Some(state.strip_suffix(STATE)?.to_owned() + CONNECTION)
+}
+
+/// The name of a field in a mapping.
+const fn name(field: Field) -> &'static str {
+    match field {
+        Field::V | Field::VMeasured => "v",
+        Field::Vy | Field::VyMeasured => "vy",
+        Field::Omega | Field::OmegaMeasured => "omega",
+        Field::Power => "power",
+        Field::Voltage => "voltage",
+        Field::Current => "current",
+        Field::Soc => "soc",
+    }
 }
 
 #[cfg(test)]
@@ -350,7 +388,10 @@ mod tests {
         ] {
             let document = json!({"battery": {"power": power}, "soc": 50, "state": []});
             let (seen, refused) = read(&fields(), &document);
-            assert_eq!(refused, [(expected, "power"), (Reason::WrongType, "charging")]);
+            assert_eq!(refused.len(), 2);
+            for one in [(expected, "power"), (Reason::WrongType, "charging")] {
+                assert!(refused.contains(&one), "{refused:?}");
+            }
             assert_eq!((seen.power, seen.soc), (None, Some(0.5)));
         }
         let overflow = json!({"battery": {"current": -1e38}, "volt": 1e38});

@@ -63,6 +63,8 @@ struct Robot {
     power: Option<Timed<PowerReading>>,
     /// The reading was already part of a sample.
     sampled: bool,
+    /// A value came that was in no sample.
+    is_fresh: bool,
     voltage_v: Option<Timed<f32>>,
     current_a: Option<Timed<f32>>,
     soc: Option<Timed<f32>>,
@@ -136,6 +138,12 @@ impl Intake {
             return;
         };
         self.observations += 1;
+        if seen.has_ended {
+            // What it said last is no longer so.
+            let monitor = known.monitor;
+            *known = Robot { monitor, ..Robot::new(known.charge_reading, self.reports_charging) };
+            return;
+        }
         let seen = &known.measured(seen, self.holds, at_ns);
         known.any_ns = Some(at_ns);
         known.first_ns = known.first_ns.min(at_ns);
@@ -149,6 +157,7 @@ impl Intake {
         ] {
             set(place, value, at_ns);
         }
+        known.is_fresh = true;
         known.percent |= seen.soc.is_some_and(|soc| soc > *SOC.end());
         let is_of_battery = |timed: Timed<PowerReading>| timed.value.of == PowerOf::Battery;
         let charging = seen.charging.or(known.charging);
@@ -204,7 +213,13 @@ impl Intake {
             state.held = known.sampled && state.power_w.is_some();
             known.sampled |= state.power_w.is_some();
         }
-        if state.power_w.is_some() && !state.held {
+        // A robot without a power is judged by its other values.
+        let is_new = match known.power {
+            Some(_) => state.power_w.is_some() && !state.held,
+            None => known.is_fresh,
+        };
+        known.is_fresh = false;
+        if is_new {
             self.judgement.take(&state, soc, now_ns);
         }
         known.leave_out(&mut state, now_ns);
@@ -246,6 +261,7 @@ impl Robot {
             omega_radps: None,
             power: None,
             sampled: false,
+            is_fresh: false,
             voltage_v: None,
             current_a: None,
             soc: None,

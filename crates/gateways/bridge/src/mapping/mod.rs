@@ -4,6 +4,9 @@
 pub(crate) mod account;
 #[cfg(test)]
 mod doors;
+#[cfg(test)]
+#[path = "../../tests/doors/mod.rs"]
+mod every_door;
 pub(crate) mod fields;
 pub(crate) mod intake;
 pub(crate) mod observation;

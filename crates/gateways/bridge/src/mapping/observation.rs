@@ -1,5 +1,8 @@
 //! The observation of one robot in one message.
 
+use joulebus_plausibility::Mapped;
+pub(crate) use joulebus_plausibility::PowerOf;
+
 /// A power, and what it measures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PowerReading {
@@ -7,17 +10,6 @@ pub(crate) struct PowerReading {
     pub(crate) power_w: f32,
     /// The flow that was measured.
     pub(crate) of: PowerOf,
-}
-
-/// The flow that a power meter measures.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub(crate) enum PowerOf {
-    /// The robot's consumption.
-    #[default]
-    Load,
-    /// The battery's discharge, negative while it is charged.
-    Battery,
 }
 
 /// The values of a message in SI. `None` if the message does not have the value. All numbers are
@@ -48,9 +40,31 @@ pub(crate) struct Observation {
     pub(crate) reports_charging: bool,
     /// The message is known to repeat the previous measurement.
     pub(crate) repeats: bool,
+    /// The robot says that it is gone, or its broker does.
+    pub(crate) has_ended: bool,
 }
 
 impl Observation {
+    /// What is known of a message.
+    pub(crate) fn of(mapped: &Mapped) -> Self {
+        let number = |value: f64| (!value.is_nan()).then_some(value as f32);
+        let seen = &mapped.seen;
+        Self {
+            v_mps: number(seen.v_mps),
+            omega_radps: number(seen.omega_radps),
+            power: number(seen.power_w)
+                .map(|power_w| PowerReading { power_w, of: mapped.power_of }),
+            power_of_current: mapped.is_product,
+            voltage_v: number(seen.voltage_v),
+            current_a: number(seen.current_a),
+            is_reserved: mapped.is_reserved,
+            soc: number(seen.soc),
+            charging: seen.charging,
+            full: mapped.full,
+            ..Self::default()
+        }
+    }
+
     /// True if it has no value.
     pub(crate) fn is_empty(&self) -> bool {
         let Self {
@@ -66,11 +80,13 @@ impl Observation {
             full,
             reports_charging: _,
             repeats: _,
+            has_ended,
         } = self;
         let numbers = [v_mps, omega_radps, voltage_v, current_a, soc];
         numbers.iter().all(|number| number.is_none())
             && power.is_none()
             && charging.is_none()
             && full.is_none()
+            && !has_ended
     }
 }

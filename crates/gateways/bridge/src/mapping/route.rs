@@ -46,6 +46,8 @@ pub(crate) struct Message<'m> {
     pub(crate) payload: &'m [u8],
     /// The broker retained it from earlier.
     pub(crate) retained: bool,
+    /// When it arrived, Unix s.
+    pub(crate) unix_s: f64,
 }
 
 /// Reads messages. Bad ones are counted and change nothing.
@@ -113,7 +115,9 @@ impl Reader {
             let robot = route.pattern.matches(message.topic)?;
             Some((route, robot))
         });
+        let mut is_read = false;
         for (route, robot) in matching {
+            is_read = true;
             let reading = Reading { route: &route.name, message, account };
             let max_bytes = self.max_bytes;
             let seen = reading.seen(route, robot, &self.robots, max_bytes, &mut self.states);
@@ -124,12 +128,16 @@ impl Reader {
         if let Some(vizier) = &mut self.vizier
             && let Some((node, number)) = vizier::answered(&vizier.client, message.topic)
         {
+            is_read = true;
             let reading = Reading { route: VIZIER, message, account };
             if let Some((robot, seen)) =
                 vizier.seen(reading, (node, number), &self.robots, self.max_bytes)
             {
                 take(robot, &seen);
             }
+        }
+        if !is_read {
+            account.count("mqtt", Reason::NoRoute, message.topic);
         }
     }
 
@@ -215,11 +223,11 @@ impl Reading<'_> {
         self.account.count(self.route, reason, name);
     }
 
-    fn document(&mut self, max_bytes: usize) -> Option<Value> {
-        let Message { topic, payload, retained } = self.message;
+    fn document(&mut self, max_bytes: usize, takes_retained: bool) -> Option<Value> {
+        let Message { topic, payload, retained, .. } = self.message;
         let refused = if payload.len() > max_bytes {
             Reason::TooLong
-        } else if retained {
+        } else if retained && !takes_retained {
             Reason::Retained
         } else {
             let payload = payload.strip_prefix(BYTE_ORDER_MARK).unwrap_or(payload);
@@ -262,7 +270,8 @@ impl Reading<'_> {
         let id = robot.map(|name| self.id(name, robots));
         let document = match id {
             Some(None) => return None,
-            _ => self.document(max_bytes)?,
+            // That a robot is gone stays said.
+            _ => self.document(max_bytes, route.fields.ended.is_some())?,
         };
         let (robot, id) = match (robot, id.flatten()) {
             (Some(name), Some(id)) => (name.to_owned(), id),
@@ -285,11 +294,19 @@ impl Reading<'_> {
             self.count(Reason::UnknownVersion, &format!("{version} of {robot}"));
             return None;
         }
+        let age_s = route.fields.standard.and_then(|of| of.age_s(&document, self.message.unix_s));
+        if let Some(age_s) = age_s.filter(|_| !self.message.retained) {
+            // Few names, whatever the ages.
+            let age_s = 10_f64.powf((age_s.abs().log10() * 4.0).round() / 4.0).copysign(age_s);
+            self.count(Reason::Late, &format!("{robot}: made some {age_s:.0} s before it came"));
+        }
         let seen = self.observation(&route.fields, &document, &robot);
         let came = route.fields.came(&seen);
         self.account.came(self.route, &robot, &came);
         if seen.is_empty() {
-            self.count(Reason::Nothing, &robot);
+            if route.fields.ended.is_none() {
+                self.count(Reason::Nothing, &robot);
+            }
             return None;
         }
         Some((id, seen))
@@ -304,7 +321,7 @@ impl Vizier {
         robots: &Robots,
         max_bytes: usize,
     ) -> Option<(u32, Observation)> {
-        let document = reading.document(max_bytes)?;
+        let document = reading.document(max_bytes, false)?;
         let asked = self.open.get(&number).map(|(robot, _)| *robot);
         let Some(robot) = asked.filter(|robot| robots.id(node) == Some(*robot)) else {
             reading.count(Reason::NotAsked, node);
@@ -371,7 +388,7 @@ mod tests {
 
     fn read(reader: &mut Reader, topic: &str, payload: &[u8]) -> Read {
         let (mut taken, mut account) = (Vec::new(), Account::default());
-        let message = Message { topic, payload, retained: false };
+        let message = Message { topic, payload, retained: false, unix_s: 0.0 };
         reader.read(message, &mut account, |robot, seen| {
             taken.push((robot, seen.power.unwrap().power_w));
         });
@@ -426,9 +443,15 @@ mod tests {
         assert_eq!((taken, refused[0].0), (vec![], "not_json"));
         let (taken, refused) = read(&mut reader(), "fleet/r1/power", &[b' '; 1_001]);
         assert_eq!((taken, refused[0].0), (vec![], "too_long"));
-        assert_eq!(read(&mut reader(), "elsewhere", b"{"), (vec![], vec![]), "of no route");
+        let (taken, refused) = read(&mut reader(), "elsewhere", b"{");
+        assert_eq!((taken, refused), (vec![], vec![("no_route", "elsewhere".to_owned())]));
         let mut account = Account::default();
-        let kept = Message { topic: "fleet/r1/power", payload: br#"{"power": 3}"#, retained: true };
+        let kept = Message {
+            topic: "fleet/r1/power",
+            payload: br#"{"power": 3}"#,
+            retained: true,
+            unix_s: 0.0,
+        };
         reader().read(kept, &mut account, |_, _| panic!("nobody knows how old it is"));
         assert_eq!(account.records()[0].reason, "retained");
     }
@@ -495,6 +518,7 @@ mod tests {
                 topic: &format!("r1/responses/jb/{number}"),
                 payload: &payload,
                 retained: false,
+                unix_s: 0.0,
             };
             reader.read(message, &mut account, |_, seen| repeats.push(seen.repeats));
         }
@@ -508,7 +532,7 @@ mod tests {
             reader.vizier = vizier().vizier;
             reader.requests(&mut account);
             for topic in [topic.as_str(), "fleet/r1/power", "all", "r1/responses/jb/0"] {
-                let message = Message { topic, payload: &payload, retained: false };
+                let message = Message { topic, payload: &payload, retained: false, unix_s: 0.0 };
                 reader.read(message, &mut account, |_, seen| assert!(!seen.is_empty()));
             }
         }

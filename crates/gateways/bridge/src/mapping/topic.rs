@@ -14,6 +14,8 @@ pub(crate) enum TopicError {
     TwoRobots,
     #[error("has a wildcard beside other letters, a # that is not last, or a control character")]
     Wildcard,
+    #[error("is no shared subscription: allowed is $share/GROUP/ before the topic")]
+    Share,
     #[error("has a wildcard, which a topic to write to must not have")]
     WrittenWildcard,
     #[error("has {{robot}}, but what is written to it is not of one robot")]
@@ -25,6 +27,8 @@ pub(crate) enum TopicError {
 /// A pattern to read: it matches topics and extracts the robot's name.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Pattern {
+    /// `$share/GROUP/` of a shared subscription, which no message's topic has.
+    share: String,
     levels: Vec<String>,
 }
 
@@ -32,6 +36,15 @@ impl Pattern {
     /// Parses `fleet/{robot}/power`. `+` and `#` are MQTT's wildcards.
     pub(crate) fn parse(text: &str) -> Result<Self, TopicError> {
         check(text)?;
+        let behind = text.strip_prefix("$share/").and_then(|rest| rest.split_once('/'));
+        let is_group = |group: &str| !group.is_empty() && !group.contains(['+', '#', '{']);
+        let (share, text) = match behind {
+            Some((group, rest)) if is_group(group) && !rest.is_empty() => {
+                (format!("$share/{group}/"), rest)
+            }
+            _ if text.starts_with("$share") => return Err(TopicError::Share),
+            _ => (String::new(), text),
+        };
         let levels: Vec<String> = text.split('/').map(str::to_owned).collect();
         let last = levels.len() - 1;
         let is_bad = |(place, level): (usize, &String)| match level.as_str() {
@@ -42,7 +55,7 @@ impl Pattern {
         if levels.iter().enumerate().any(is_bad) {
             return Err(TopicError::Wildcard);
         }
-        Ok(Self { levels })
+        Ok(Self { share, levels })
     }
 
     /// True if the pattern has the robot's name.
@@ -56,7 +69,7 @@ impl Pattern {
             let is_named = level.contains(ROBOT);
             if is_named { "+" } else { level }
         });
-        levels.collect::<Vec<_>>().join("/")
+        self.share.clone() + &levels.collect::<Vec<_>>().join("/")
     }
 
     /// `Some` if the topic matches, with the robot's name if the pattern has it.
@@ -139,6 +152,8 @@ mod tests {
             +/{robot}/# | +/+/# | a/b/c/d | Some(Some("b"))
             +/{robot}/# | +/+/# | a/b | Some(Some("b"))
             all | all | all | Some(None)
+            $share/g/fleet/{robot}/power | $share/g/fleet/+/power | fleet/a/power | Some(Some("a"))
+            $share/g/all | $share/g/all | $share/g/all | None
             {robot} | + |  | Some(Some(""))
             "#,
         ) {

@@ -24,6 +24,13 @@ pub(crate) struct Unit {
     pub(crate) size: f64,
 }
 
+impl Unit {
+    /// True for a unit of a share, whose numbers are mapped as they are.
+    pub(crate) fn measures_share(&self) -> bool {
+        Quantity::Share.units().iter().any(|(name, _)| *name == self.name)
+    }
+}
+
 /// A unit that does not measure the quantity.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{found:?} is no unit of {quantity}, allowed are {allowed}")]

@@ -97,6 +97,11 @@ impl Lost {
         }
     }
 
+    /// True if the broker takes no message that it has to acknowledge.
+    pub(super) const fn is_of_qos(&self) -> bool {
+        matches!(self, Self::Refused { code: ReasonCode::QoSNotSupported, .. })
+    }
+
     /// True if the broker may know another version of MQTT alone. Some end the connection without
     /// a word, which means nothing once a broker has answered by this version (`is_known`).
     pub(super) const fn is_of_version(&self, is_known: bool) -> bool {

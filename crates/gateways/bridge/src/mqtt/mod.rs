@@ -147,6 +147,12 @@ impl Mqtt {
                     continue;
                 }
             }
+            let may_ask_less = self.goodbye.iter().any(|message| message.qos != QoS::AtMostOnce);
+            if why.is_of_qos() && may_ask_less {
+                log_line(&format!("{broker} has QoS 0 alone: its messages are not acknowledged"));
+                self.goodbye.iter_mut().for_each(|message| message.qos = QoS::AtMostOnce);
+                continue;
+            }
             if why.is_permanent() && !was_connected {
                 let broker = broker.clone();
                 return Err(MqttError { broker, why });
@@ -266,6 +272,7 @@ impl Mqtt {
                     topic: &publish.topic_name,
                     payload: &publish.payload,
                     retained: publish.retain,
+                    unix_s: clock::unix_ns() as f64 * 1e-9,
                 };
                 let at_ns = clock::monotonic_ns();
                 let (shared, mut account) = (&self.shared, self.shared.account());

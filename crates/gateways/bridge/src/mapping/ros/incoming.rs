@@ -1,12 +1,10 @@
 //! Decodes a robot's ROS 2 messages. The bytes are untrusted: a message that does not fit its type
 //! is counted and changes nothing.
 
-use joulebus_plausibility::{SupplyStatus, UNMEASURED_A};
+use joulebus_plausibility::{Field, Said, SupplyStatus};
 use joulebus_ros_messages::{BatteryState, Message, RosError, RosType, Twist};
 
 use crate::mapping::account::{Account, Reason};
-use crate::mapping::fields::SOC;
-use crate::mapping::fields::product;
 use crate::mapping::observation::{Observation, PowerOf};
 use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::Unit;
@@ -125,80 +123,58 @@ impl RosRoute {
 impl BatteryFields {
     /// Reads a battery state. NaN means "not measured", by the message's definition.
     fn read(&self, state: &BatteryState, refused: &mut impl FnMut(Reason, &str)) -> Observation {
-        if !state.present {
-            return Observation::default();
-        }
-        let mut measured = |value: f32, name| match value {
-            value if value.is_nan() => None,
-            value if value.is_finite() => Some(value),
-            _ => {
-                refused(Reason::NotFinite, name);
-                None
-            }
+        let sign = if self.discharge_is_positive { 1.0 } else { -1.0 };
+        let status = SupplyStatus::new(state.power_supply_status);
+        let charging = status.and_then(SupplyStatus::charging);
+        let said = Said {
+            soc_unit: self.percentage.size,
+            written_a: state.current.into(),
+            power_of: self.power_of.unwrap_or_default(),
+            product_of: self.power_of,
+            present: Some(state.present),
+            charging,
+            full: charging.map(|_| status == Some(SupplyStatus::Full)),
+            ..Said::default()
         };
-        let voltage_v = measured(state.voltage, "voltage");
-        let current_a = measured(state.current, "current");
-        let current_a = current_a
-            .map(|current_a| if self.discharge_is_positive { current_a } else { -current_a });
-        let percentage = Some(state.percentage).filter(|share| !is_unknown(*share));
-        let soc = percentage.and_then(|share| measured(share, "percentage"));
-        if percentage.is_none() {
+        let said = said
+            .with(Field::Voltage, state.voltage.into())
+            .with(Field::Current, sign * f64::from(state.current))
+            .with(Field::Soc, state.percentage.into());
+        if state.present && state.percentage.is_nan() {
             refused(Reason::Unknown, "percentage");
         }
-        let soc = soc.map(|share| (f64::from(share) * self.percentage.size) as f32);
-        // It is judged with the others of its robot, and in no sample.
-        if soc.is_some_and(|soc| !SOC.contains(&soc)) {
-            refused(Reason::OutOfRange, "percentage");
-        }
-        let status = SupplyStatus::new(state.power_supply_status);
-        if status.is_none() {
+        if state.present && status.is_none() {
             refused(Reason::OutOfRange, "power_supply_status");
         }
-        let charging = status.and_then(SupplyStatus::charging);
-        let full = charging.map(|_| status == Some(SupplyStatus::Full));
-        let is_reserved = f64::from(state.current) == UNMEASURED_A;
-        if is_reserved {
-            refused(Reason::Unknown, "current");
-        }
-        let power = product(voltage_v, current_a)
-            .zip(self.power_of)
-            .map(|(power, of)| crate::mapping::observation::PowerReading { of, ..power });
-        Observation {
-            power,
-            voltage_v,
-            current_a,
-            is_reserved,
-            power_of_current: true,
-            soc,
-            charging,
-            full,
-            ..Observation::default()
-        }
+        let mapped = said.map(|field, why| {
+            let name = match field {
+                Field::Voltage => "voltage",
+                Field::Current => "current",
+                _ => "percentage",
+            };
+            refused(why.into(), name);
+        });
+        Observation::of(&mapped)
     }
-}
-
-/// True if a percentage is not measured. Drivers write −1 as well as NaN, and mavros −1 %.
-fn is_unknown(percentage: f32) -> bool {
-    percentage.is_nan() || percentage == -1.0 || percentage == -0.01
 }
 
 /// Forward and angular velocity. With a velocity across, the speed counts.
 fn motion(twist: &Twist, refused: &mut impl FnMut(Reason, &str)) -> Observation {
-    let mut finite = |value: f64, name| {
-        let value = value as f32;
-        if !value.is_finite() {
-            refused(Reason::NotFinite, name);
-        }
-        value
-    };
-    let (x, y) = (finite(twist.linear.x, "linear.x"), finite(twist.linear.y, "linear.y"));
-    let omega = finite(twist.angular.z, "angular.z");
-    let v_mps = if y == 0.0 { x } else { x.hypot(y) };
-    Observation {
-        v_mps: Some(v_mps).filter(|v_mps| v_mps.is_finite()),
-        omega_radps: Some(omega).filter(|omega| omega.is_finite()),
-        ..Observation::default()
-    }
+    // A velocity that is NaN is no number, and not one that is left out.
+    let number = |value: f64| if value.is_nan() { f64::INFINITY } else { value };
+    let said = Said::default()
+        .with(Field::V, number(twist.linear.x))
+        .with(Field::Vy, number(twist.linear.y))
+        .with(Field::Omega, number(twist.angular.z));
+    let mapped = said.map(|field, why| {
+        let name = match field {
+            Field::V => "linear.x",
+            Field::Vy => "linear.y",
+            _ => "angular.z",
+        };
+        refused(why.into(), name);
+    });
+    Observation::of(&mapped)
 }
 
 #[cfg(test)]
@@ -356,7 +332,9 @@ mod tests {
                 ("out_of_range", "percentage of r1,power_supply_status of r1".to_owned())
             ]
         );
-        let absent = BatteryState { present: false, ..battery() };
+        let unsaid = BatteryState { present: false, ..battery() };
+        assert_eq!(read_battery(&route, &unsaid), read_battery(&route, &battery()));
+        let absent = BatteryState { voltage: 0.0, ..unsaid };
         let (seen, refused) = read_battery(&route, &absent);
         assert_eq!((seen, refused[0].0), (None, "nothing_mapped"));
     }
