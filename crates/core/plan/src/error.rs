@@ -260,6 +260,19 @@ pub enum PathError {
         /// The greatest number of steps of a path.
         allowed: usize,
     },
+    /// The path takes more steps than are allowed, because the robot waits.
+    #[error(
+        "a wait of {found_s} s at point {point}: a path may take {allowed_s} s in all. Ask about the rest after \
+         the wait"
+    )]
+    Waits {
+        /// The point, from 0.
+        point: usize,
+        /// The wait, s.
+        found_s: f64,
+        /// The longest path, s.
+        allowed_s: f64,
+    },
     /// The follower does not get there.
     #[error(
         "point {point} is still {distance_m:.2} m away after {steps} steps: give it a lower speed, or \

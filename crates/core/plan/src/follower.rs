@@ -238,9 +238,9 @@ impl Follower {
     /// Waits at a point.
     fn wait(&self, to: &mut Followed, point: usize, time_s: f64) -> Result<(), PathError> {
         let steps = (time_s / self.period_s).round().max(0.0) as usize;
-        let allowed = self.max_steps;
-        if steps > allowed.saturating_sub(to.v_mps.len()) {
-            return Err(PathError::TooLong { point, distance_m: 0.0, allowed });
+        if steps > self.max_steps.saturating_sub(to.v_mps.len()) {
+            let allowed_s = self.max_steps as f64 * self.period_s;
+            return Err(PathError::Waits { point, found_s: time_s, allowed_s: allowed_s.round() });
         }
         let pose = to.poses[to.v_mps.len()];
         (0..steps).for_each(|_| self.push(to, pose, (0.0, 0.0)));

@@ -18,6 +18,8 @@ pub(crate) const BESIDE_M: f64 = 0.025;
 /// speed changes every millimetre.
 const MAX_PASSED: usize = 1_024;
 
+/// Share of a stated tolerance within which points may scatter beside a straight line.
+const SCATTER: f64 = 0.25;
 /// Largest cell of a grid whose stairs are found without being told, m.
 const MAX_CELL_M: f64 = 0.25;
 /// Edges between corners of a path, at least, that a grid is found from.
@@ -81,21 +83,26 @@ impl<'a> Shape<'a> {
     pub(crate) fn new(path: &'a Path) -> Self {
         let vertex = |(index, at): (usize, &Point)| Vertex { at: *at, index };
         let all: Vec<Vertex> = path.points.iter().enumerate().map(vertex).collect();
-        let exact = thinned(path, &all, ROUNDING_M);
+        let mut exact = thinned(path, &all, ROUNDING_M);
+        let corners = exact.len();
         let cut = match path.tolerance_m {
-            Some(within_m) => {
-                (within_m > 0.0).then_some(Cut { within_m: within_m.into(), cell_m: None })
+            Some(within_m) if within_m > 0.0 => {
+                // Points that scatter would leave no room at their corners.
+                let within_m = f64::from(within_m);
+                exact = thinned(path, &exact, SCATTER * within_m);
+                Some(Cut { within_m: (1.0 - SCATTER) * within_m, cell_m: None })
             }
+            Some(_) => None,
             None => cell_m(&exact).map(|cell| Cut { within_m: 0.5 * cell, cell_m: Some(cell) }),
         };
         let taut = cut.map(|cut| cut.taut(path, &exact));
         let vertices = thinned(path, taut.as_ref().unwrap_or(&exact), TOLERANCE_M);
-        let (lines, is_cut) =
-            (vertices.len() - 1, taut.is_some_and(|taut| taut.len() < exact.len()));
-        let simplified = cut.filter(|_| is_cut).map(|cut| Simplified {
+        let cut_m = path.tolerance_m.map(f64::from).or(cut.map(|cut| cut.within_m));
+        let (lines, is_cut) = (vertices.len() - 1, taut.is_some_and(|taut| taut.len() < corners));
+        let simplified = cut_m.filter(|_| is_cut).map(|within_m| Simplified {
             points: path.points.len(),
             lines,
-            within_m: cut.within_m,
+            within_m,
         });
         Self { path, vertices, simplified }
     }
@@ -125,10 +132,13 @@ impl<'a> Shape<'a> {
         self.path.dwell_s.get(self.index(vertex)).copied().unwrap_or(0.0)
     }
 
-    /// The vertex that the robot faces at first: one that is elsewhere.
+    /// The vertex that the robot faces at first: one that is elsewhere, and not in the first cell of
+    /// a grid, whose centre says nothing about the way.
     pub(crate) fn faced(&self) -> Point {
-        let elsewhere = (1..self.count()).find(|vertex| self.at(*vertex) != self.at(0));
-        self.at(elsewhere.unwrap_or(0))
+        let cell_m = self.simplified.map_or(0.0, |cut| 2.0 * cut.within_m);
+        let is_away = |vertex: &usize| length(to(self.at(0), self.at(*vertex))) > cell_m;
+        let last = self.count() - 1;
+        self.at((1..last).find(is_away).unwrap_or(last))
     }
 
     /// Share of the edge to a vertex, from 0 to 1, beside which a point lies, and its length, m.
@@ -278,7 +288,7 @@ impl Cut {
         let mut kept = Vec::from_iter(of.first().copied());
         let mut begin = 0;
         for end in 1..of.len() {
-            if end - begin >= MAX_CORNERS || !(self.beside_m(path, of, end) > 0.0) {
+            if end - begin >= MAX_CORNERS || self.beside_m(path, of, end) <= 0.0 {
                 pull(&mut kept, &of[begin..=end], |corner| self.beside_m(path, of, begin + corner));
                 begin = end;
             }

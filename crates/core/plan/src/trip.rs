@@ -41,8 +41,8 @@ pub struct Ranked {
 }
 
 impl Robot<'_> {
-    /// True if the robot can follow a path and then return to a point, at the speed of the last
-    /// leg.
+    /// True if the robot can follow a path and then return to a point and dock, at the speed of the
+    /// last leg.
     ///
     /// # Errors
     /// A path that the platform cannot follow, or a coverage that is not allowed.

@@ -249,8 +249,10 @@ proptest! {
         let path = Path::new(&points, 0.2);
         let platform = limited(0.25, 4.0);
         let (whole, cut) = (cost(&platform, &straight), cost(&platform, &path));
-        prop_assert!((cut.1 / whole.1 - 1.0).abs() <= 0.03, "{:?} {:?} {:?}", whole, cut, path.simplified());
-        prop_assert!((cut.0 / whole.0 - 1.0).abs() <= 0.03, "{:?} {:?} {:?}", whole, cut, path.simplified());
+        // Without diagonals, some corners lie more than half a cell beside every line.
+        let most = if has_diagonals { 0.04 } else { 0.08 };
+        prop_assert!((cut.1 / whole.1 - 1.0).abs() <= most, "{:?} {:?} {:?}", whole, cut, path.simplified());
+        prop_assert!((cut.0 / whole.0 - 1.0).abs() <= most, "{:?} {:?} {:?}", whole, cut, path.simplified());
         if let Some(simplified) = path.simplified() {
             prop_assert_eq!(simplified.points, points.len());
             prop_assert!((simplified.within_m - 0.5 * cell_m).abs() < 1e-6);
@@ -267,7 +269,7 @@ proptest! {
                 (pose.at.x_m - from.x_m - share * x).hypot(pose.at.y_m - from.y_m - share * y)
             };
             let beside_m = points.windows(2).map(away_m).fold(f64::INFINITY, f64::min);
-            prop_assert!(beside_m <= 0.5 * cell_m + 0.05, "{} m beside", beside_m);
+            prop_assert!(beside_m <= 0.5 * cell_m + 0.06, "{} m beside", beside_m);
         }
         prop_assert!(followed.leg_ends.is_sorted());
     }
@@ -308,6 +310,33 @@ proptest! {
         prop_assert_eq!(followed.late_s, 0.0);
         let taken_s = f64::from(followed.period_s) * followed.v_mps.len() as f64;
         prop_assert!((taken_s - (time_s - begin_s)).abs() <= 0.1, "{} s for {}", taken_s, time_s - begin_s);
+    }
+}
+
+#[test]
+fn a_tolerance_smooths_scattered_points_and_0_drives_every_corner() {
+    // Scatter of 1 cm to both sides of a straight line, by a fixed sequence.
+    let scatter_m = |step: u32| 0.01 * (f64::from(step * 7 % 11) / 5.0 - 1.0);
+    let points: Vec<Point> =
+        (0..400).map(|step| Point::new(0.02 * f64::from(step), scatter_m(step))).collect();
+    let path = |tolerance_m| Path { tolerance_m, ..Path::new(&points, 0.2) };
+    let platform = limited(0.25, 4.0);
+    let straight = cost(&platform, &Path::new(&[points[0], points[399]], 0.2));
+    let [smooth, rough] = [Some(0.05), Some(0.0)].map(|tolerance_m| path(tolerance_m));
+    assert!((cost(&platform, &smooth).1 / straight.1 - 1.0).abs() < 0.02);
+    assert!(cost(&platform, &rough).1 > straight.1);
+    let simplified = smooth.simplified().expect("it is smoothed");
+    assert_eq!((simplified.points, (1e3 * simplified.within_m).round()), (400, 50.0));
+    assert!(simplified.lines < 40, "{simplified:?}");
+    // A grid is not guessed from it.
+    assert_eq!((rough.simplified(), path(None).simplified()), (None, None));
+    // Corners that turn to one side are no stairs, nor is a lane that is changed once.
+    for corners in [
+        vec![(0.0, 0.0), (5.0, 0.0), (5.0, 0.2), (0.0, 0.2), (0.0, 0.4), (5.0, 0.4)],
+        vec![(0.0, 0.0), (5.0, 0.0), (5.0, 1.0), (9.0, 1.0), (9.0, 0.0), (12.0, 0.0)],
+    ] {
+        let points: Vec<Point> = corners.into_iter().map(|(x, y)| Point::new(x, y)).collect();
+        assert_eq!(Path::new(&points, 0.2).simplified(), None);
     }
 }
 
@@ -483,7 +512,7 @@ fn wrong_paths_are_refused_with_the_value() {
         (Path { time_s: vec![0.0; 2], dwell_s: vec![1.0; 2], ..two.clone() }, "either time_s or"),
         (Path { tolerance_m: Some(f32::NAN), ..two.clone() }, "a tolerance of NaN m"),
         (Path { tolerance_m: Some(1.5), ..two.clone() }, "a tolerance of 1.5 m"),
-        (Path { dwell_s: vec![0.0, 1e11], ..two }, "as many as a path may have"),
+        (Path { dwell_s: vec![0.0, 1e11], ..two }, "a wait of 100000000000 s at point 1"),
     ] {
         let error = refused(&path).to_string();
         assert!(error.contains(expected), "{error}");
