@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::import::{Imported, Mapping};
 use joulebus_dataset::trial::{BagTrial, BagTrialError, Column, ColumnMap, Trial, is_capture};
-use joulebus_files::{disk, ends_in, without_ending};
+use joulebus_files::{disk, ends_in, foreign, without_ending};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -126,6 +126,7 @@ struct Written {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    check_out(&args.out)?;
     let mapping = args.options.mapping(args.columns.current)?;
     let mut recordings = Vec::new();
     let mut sources = Vec::new();
@@ -152,6 +153,22 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         source.left_out.is_empty() && source.imported.as_ref().is_none_or(Imported::is_whole)
     });
     Ok(Outcome::unless_lost(!is_whole))
+}
+
+/// Refuses the name of a file that is not written, of which a directory would be made.
+fn check_out(out: &Path) -> Result<(), UsageError> {
+    let is_written = ["mcap", "csv", "csv.gz"].iter().any(|ending| ends_in(out, ending));
+    let is_directory = out.is_dir() || out.to_string_lossy().ends_with('/');
+    let kind = foreign::of_name(out).map(|kind| kind.what);
+    let array = ends_in(out, "npy").then_some("a NumPy array");
+    match kind.or(array).filter(|_| !is_written && !is_directory) {
+        None => Ok(()),
+        Some(what) => Err(UsageError(format!(
+            "{} names {what}, which is not written. Name a dataset (.csv, .csv.gz), a capture \
+             (.mcap), or a directory, with a / at its end",
+            out.display()
+        ))),
+    }
 }
 
 /// A name without directory and extensions.
@@ -327,5 +344,26 @@ impl fmt::Display for ImportReport {
             writeln!(out, "written    {file}: {} rows of {robots}", written.rows)?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use super::check_out;
+
+    #[test]
+    fn no_directory_has_the_name_of_a_file_of_another_program() {
+        for name in ["y.parquet", "a/y.MAT", "y.npy", "y.json"] {
+            let refused = check_out(Path::new(name)).expect_err(name).to_string();
+            assert!(
+                refused.contains("which is not written") && refused.contains(name),
+                "{refused}"
+            );
+        }
+        for name in ["y.csv", "y.csv.gz", "y.mcap", "y", "y.parquet/", "run.1", "."] {
+            assert!(check_out(Path::new(name)).is_ok(), "{name}");
+        }
     }
 }

@@ -21,7 +21,7 @@ use crate::recordings::GIVEN;
 #[derive(Debug, Clone, Default, clap::Args)]
 pub(crate) struct AcceptArguments {
     /// Findings to let through, because you know better: sign, unit, clock, hold, never-came,
-    /// range, saturation, constant, sentinel, mismatch
+    /// range, saturation, constant, sentinel, mismatch, sources
     #[arg(long, value_name = "FINDING,…", value_delimiter = ',')]
     pub(crate) accept: Vec<Kind>,
     /// The recordings were judged before.
