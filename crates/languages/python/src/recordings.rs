@@ -9,7 +9,9 @@ use std::sync::{Mutex, PoisonError};
 use bytemuck::cast_slice;
 use joulebus_capture_format::import::{CurrentSign, Mapping, import};
 use joulebus_capture_format::{Entry, Frame, Message, MessageKind, ReadError, Reader};
-use joulebus_dataset::inspect::{Implausible, Limits, judge, judge_from, judge_together};
+use joulebus_dataset::inspect::{
+    Implausible, Limits, in_python, judge, judge_from, judge_together,
+};
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{BagTrial, Column, ColumnMap, MappedColumn, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
@@ -380,11 +382,7 @@ impl Reading {
         if errors.is_empty() {
             return Ok(others);
         }
-        Err(RecordingError::new_err(format!(
-            "{}\nIn Python: columns={{\"quantity_UNIT\": \"column\"}}, current=\"discharge-negative\", or \
-             accept=[\"finding\"] if it is right",
-            errors.join("\n")
-        )))
+        Err(RecordingError::new_err(in_python(&errors.join("\n"))))
     }
 
     /// The same of trials in memory. What may be implausible is not reported.
@@ -563,6 +561,6 @@ pub(crate) fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> Py
 pub(crate) fn refused_trial(error: &TrialError) -> PyErr {
     match error {
         TrialError::Io { path, source } => of_file(path, source),
-        error => RecordingError::new_err(error.to_string()),
+        error => RecordingError::new_err(in_python(&error.to_string())),
     }
 }

@@ -154,8 +154,9 @@ def test_refusals_are_those_of_the_program_with_the_tables_name(frames):
     table = frames["pandas"].DataFrame(TABLE)
     with pytest.raises(joulebus.RecordingError, match="mine: no column for power"):
         joulebus.read_table(table[["timestamp_s"]], name="mine")
-    with pytest.raises(joulebus.RecordingError, match="(?s)mine.*power.*negative.*accept="):
+    with pytest.raises(joulebus.RecordingError, match="(?s)mine.*power.*negative.*accept=") as told:
         joulebus.read_table(table.assign(power_W=-POWER_W), name="mine")
+    assert "--" not in str(told.value) and 'current="discharge-negative"' in str(told.value)
     [turned] = joulebus.read_table(table.assign(power_W=-POWER_W), current="discharge-negative")
     assert (turned.columns["power_w"] > 0.0).all()
     [kept] = joulebus.read_table(table.assign(power_W=-POWER_W), accept=["sign"])
