@@ -430,6 +430,31 @@ mod tests {
         }
     }
 
+    /// A robot that is gone has no sample until it comes again, and one without a power is judged.
+    #[test]
+    fn a_robot_that_ends_has_no_sample_and_one_without_a_power_is_judged() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        intake.take(7, &power(3.0, PowerOf::Load), 10);
+        assert!(intake.sample(7, 20).is_some());
+        intake.take(7, &Observation { has_ended: true, ..Observation::default() }, 30);
+        assert_eq!(intake.sample(7, 40), None);
+        intake.take(7, &power(3.0, PowerOf::Load), 50);
+        assert!(intake.sample(7, 60).is_some_and(|state| state.power_w == Some(3.0)));
+        let mut intake = super::Intake::new(HOLDS, false, [(7, ChargeReading::Load)]);
+        for step in 0..200 {
+            let drives = Observation {
+                v_mps: Some(0.3),
+                voltage_v: Some(24.1),
+                soc: Some(0.006_52),
+                ..Observation::default()
+            };
+            intake.take(7, &drives, 10 * step);
+            intake.sample(7, 10 * step);
+        }
+        let found = intake.judgement().records();
+        assert!(found.iter().any(|one| one.finding.kind == plausibility::Kind::Unit), "{found:?}");
+    }
+
     #[test]
     fn a_repeated_measurement_keeps_its_time() {
         let mut intake = intake(HOLDS, ChargeReading::Load);

@@ -508,6 +508,51 @@ mod tests {
         );
     }
 
+    /// A vehicle of VDA 5050 says when its message was made, and its broker when it is gone.
+    #[test]
+    fn ages_and_ends_of_vehicles_are_told() {
+        let route = |topic: &str, fields| Route {
+            name: topic.to_owned(),
+            pattern: Pattern::parse(topic).unwrap(),
+            fields,
+            pass_on: None,
+        };
+        let routes = vec![
+            route("v/{robot}/state", Fields::vda5050(false)),
+            route("v/{robot}/connection", Fields::vda5050_connection()),
+        ];
+        let mut reader = Reader::new(routes, robots(), 1_000);
+        let made = "2026-04-07T10:30:00.5Z";
+        let state = json!({"timestamp": made, "batteryState": {"batteryCharge": 80.0}});
+        let says = |word: &str| json!({"timestamp": made, "connectionState": word});
+        let arrived_s = 1_775_557_800.5;
+        let cases = [
+            ("state", state.clone(), 0.1, Some(false), None),
+            ("state", state.clone(), 1_200.0, Some(false), Some("late")),
+            ("state", state, -60.0, Some(false), Some("late")),
+            ("connection", says("ONLINE"), 0.1, None, None),
+            ("connection", says("OFFLINE"), 0.1, Some(true), None),
+            ("connection", says("CONNECTION_BROKEN"), 9_000.0, Some(true), None),
+            ("connection", says("CONNECTIONBROKEN"), 0.1, Some(true), None),
+        ];
+        for (topic, document, age_s, expected, reason) in cases {
+            let (mut account, mut ended) = (Account::default(), None);
+            let (topic_of_it, payload) = (format!("v/r1/{topic}"), document.to_string());
+            let message = Message {
+                topic: &topic_of_it,
+                payload: payload.as_bytes(),
+                // A broker keeps that a vehicle is gone.
+                retained: topic == "connection",
+                unix_s: arrived_s + age_s,
+            };
+            reader.read(message, &mut account, |_, seen| ended = Some(seen.has_ended));
+            let records = account.records();
+            let told: Vec<&str> = records.iter().map(|record| record.reason).collect();
+            assert_eq!((ended, told.first().copied()), (expected, reason), "{document} {age_s}");
+            assert_eq!(account.lost(), 0, "{document}");
+        }
+    }
+
     #[test]
     fn a_status_that_equals_the_one_before_is_a_repeated_measurement() {
         let (mut reader, mut account, mut repeats) = (vizier(), Account::default(), Vec::new());
