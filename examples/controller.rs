@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_publisher::{Pace, Publisher, RobotState};
+use joulebus_publisher::{Charger, Pace, Publisher, RobotState};
 
 fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
@@ -26,7 +26,13 @@ pub(crate) fn run(config: &Path, ticks: u32) -> anyhow::Result<u64> {
         let slot = pace.wait();
         // Here a controller reads its robots, decides, and sends the commands.
         let robots = (0..20_u32).map(|robot| {
-            let state = RobotState::new(robot).command(speed_mps(robot, tick), 0.0);
+            let mut state = RobotState::new(robot).command(speed_mps(robot, tick), 0.0);
+            // These come full from their chargers. State what yours know: `state_of_charge` if
+            // they measure it, `charger`, `swapped` after an exchange, and `off` in the last frame
+            // of a robot that is switched off.
+            if tick == 0 {
+                state = state.charger(Charger::Full);
+            }
             // The monitor measures at every third tick, and repeats its reading in between.
             let power_w = 2.8 + 9.0 * speed_mps(robot, tick - tick % 3);
             match tick % 3 {

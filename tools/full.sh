@@ -38,6 +38,7 @@ step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
 step blocks - 'tools/prometheus.sh; tools/mosquitto.sh; export JOULEBUS_PYTHON=$(tools/python.sh --locked)
     tools/python_package.sh --workspace -k test_demo; tools/blocks.py'
 step walk-csv - 'tools/walks/csv.sh'
+step walk-morning - 'tools/walks/morning.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
 step c - tools/c_api.sh
 step wheel - 'tools/python_package.sh'

@@ -43,6 +43,11 @@ int main(int count, char **arguments) {
             // frame, and repeats its reading in between.
             const float power_w = 2.8f + 9.0f * speed_mps(robot, frame - frame % 3);
             auto state = joulebus::RobotState(robot).command(speed_mps(robot, frame), 0.0f);
+            // These come full from their chargers. State what yours know: `state_of_charge` if they
+            // measure it, `charging`, `swapped` after an exchange, `off` in a robot's last frame.
+            if (frame == 0) {
+                state.full();
+            }
             robots.push_back(frame % 3 == 0 ? state.reading(power_w) : state.held_reading(power_w));
         }
         const auto due_ns = std::chrono::nanoseconds(due.time_since_epoch()).count();

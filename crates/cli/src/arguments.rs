@@ -5,8 +5,8 @@ use joulebus_program::described::Verb;
 use joulebus_program::options::GlobalOptions;
 
 use crate::{
-    alarms, ask, completions, config, demo, doctor, external, info, man, new, publish, record,
-    recover, replay, run, watch,
+    alarms, ask, battery, completions, config, demo, doctor, external, info, man, new, publish,
+    record, recover, replay, run, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -49,6 +49,7 @@ pub(crate) enum Command {
     Replay(replay::Args),
     Watch(watch::Args),
     Alarms(alarms::Args),
+    Battery(battery::Args),
     Ask(ask::Args),
     Info(info::Args),
     Recover(recover::Args),
@@ -75,7 +76,7 @@ pub(crate) enum Command {
 const GROUPS: [(&str, &[&str]); 6] = [
     ("To begin", &["demo", "new", "config", "doctor"]),
     ("A running fleet", &["run", "publish", "bridge", "link"]),
-    ("What to know of it", &["watch", "ask", "alarms", "serve"]),
+    ("What to know of it", &["watch", "ask", "battery", "alarms", "serve"]),
     ("Captures", &["record", "replay", "info", "recover", "import"]),
     (
         "Models and data",

@@ -31,6 +31,7 @@
 mod alarms;
 mod arguments;
 mod ask;
+mod battery;
 mod completions;
 mod config;
 mod configs;
@@ -97,6 +98,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Replay(args) => replay::run(args, output),
         Command::Watch(args) => watch::run(args, output),
         Command::Alarms(args) => alarms::run(args, output),
+        Command::Battery(args) => battery::run(args, output),
         Command::Ask(args) => ask::run(args, output),
         Command::Info(args) => info::run(args, output),
         Command::Recover(args) => recover::run(args, output),

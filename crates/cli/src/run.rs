@@ -10,7 +10,7 @@ use anyhow::Context as _;
 use joulebus_bus::check_threads;
 use joulebus_config::{Config, ModelSource};
 use joulebus_models::load_models;
-use joulebus_plan_server::{MAX_NORMALS, PlanServer, QueryReport};
+use joulebus_plan_server::{MAX_STATEMENTS, PlanServer, QueryReport};
 use joulebus_predictor_worker::{Report, Worker};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
@@ -59,15 +59,15 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let started = RecorderProcess::start(&args.config, file);
         started.inspect_err(|error| log_line(&format!("nothing is recorded: {error:#}")))
     });
-    let (asked, normals) = sync_channel(MAX_NORMALS);
-    let questions = PlanServer::start(&config, Some(asked))?;
+    let (stated, statements) = sync_channel(MAX_STATEMENTS);
+    let questions = PlanServer::start(&config, Some(stated))?;
     let turns = Arc::new(AtomicU64::new(0));
     let service = ServiceManager::start(Arc::clone(&turns))?;
     let alarms = AlarmLog::start(&config).context("alarms cannot be logged")?;
     let mut worker =
         if args.standby { Worker::open_standby(&config)? } else { Worker::open(&config)? };
     worker.count_turns_in(turns);
-    worker.take_normals_from(normals);
+    worker.take_statements_from(statements);
     worker.needs(alarms.watch());
     if let Some(thread) = questions.watch() {
         worker.needs(thread);

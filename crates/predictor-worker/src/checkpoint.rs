@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use joulebus_fleet::{ErrorCounts, Fleet, Ledger, SavedBattery};
+use joulebus_fleet::{ErrorCounts, Fleet, Ledger, SavedBattery, SavedPause};
 use joulebus_wire::{Budget, BudgetHeader, budget_flag};
 use serde::{Deserialize, Serialize};
 
@@ -92,6 +92,16 @@ pub(crate) struct Account {
     /// Mean power at the last sample, W. `None` without a battery, and before version 5.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub mean_power_w: Option<f32>,
+    /// Pauses of its battery. `None` without any, and before version 6.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pause: Option<SavedPause>,
+}
+
+impl Account {
+    /// True if it has what only the newest version has.
+    pub(crate) const fn has_newest(&self) -> bool {
+        self.pause.is_some()
+    }
 }
 
 /// One robot's account as the fleet takes it.
@@ -144,6 +154,8 @@ impl Checkpoint {
             let silent_ns = silent_ns.saturating_sub(period_ns(budget.robot).unwrap_or(0));
             let battery = SavedBattery::new(budget, silent_ns);
             let mean_power_w = battery.and_then(|battery| battery.mean_power_w());
+            let pause = battery.map(|battery| battery.pause());
+            let pause = pause.filter(|pause| *pause != SavedPause::default());
             let account = Account {
                 drawn_uj: budget.drawn_uj,
                 drawn_remainder: budget.drawn_remainder,
@@ -152,10 +164,12 @@ impl Checkpoint {
                 unmetered_ns: budget.unmetered_ns,
                 stamp_ns: budget.stamp_ns,
                 charged: budget.flags & budget_flag::CHARGED != 0,
-                battery: silent
-                    .and_then(|known| known.battery)
-                    .or_else(|| battery.map(|battery| battery.with_mean_power_w(None))),
+                battery: silent.and_then(|known| known.battery).or_else(|| {
+                    let bare = |battery: SavedBattery| battery.with_mean_power_w(None);
+                    battery.map(|battery| bare(battery).with_pause(SavedPause::default()))
+                }),
                 mean_power_w,
+                pause: silent.and_then(|known| known.pause).or(pause),
             };
             self.robots.insert(budget.robot, account);
         }
@@ -253,7 +267,9 @@ impl Checkpoint {
                 account.stamp_ns,
             );
             let mean_power_w = account.mean_power_w;
-            let battery = account.battery.map(|battery| battery.with_mean_power_w(mean_power_w));
+            let pause = account.pause.unwrap_or_default();
+            let whole = |battery: SavedBattery| battery.with_mean_power_w(mean_power_w);
+            let battery = account.battery.map(|battery| whole(battery).with_pause(pause));
             Restored { robot: *robot, ledger, charged: account.charged, battery }
         };
         robots.into_iter().map(ledger).collect()
@@ -376,7 +392,9 @@ pub(crate) mod tests {
             ledger.take(&sent(sent_ns), &[of(1_000)], (9, |_| Some(100)));
             let saved = ledger.robots[&3].battery;
             let wanted = SavedBattery::new(&of(1_000), contained_ns);
-            assert_eq!(saved, wanted.map(|of| of.with_mean_power_w(None)), "{sent_ns}");
+            let bare =
+                |of: SavedBattery| of.with_mean_power_w(None).with_pause(SavedPause::default());
+            assert_eq!(saved, wanted.map(bare), "{sent_ns}");
             // It stays as it was first seen, and the account begins at the sample.
             ledger.take(&sent(9_000), &[of(1_000)], (9, |_| Some(100)));
             let account = ledger.robots[&3];

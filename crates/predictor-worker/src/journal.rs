@@ -4,11 +4,11 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, Writer, clock, process_id};
-use joulebus_wire::{SCHEMA_VERSION, TakenFrame, TickHeader, Ticks, tick_flag};
+use joulebus_wire::{SCHEMA_VERSION, Statement, TakenFrame, TickHeader, Ticks, tick_flag};
 
 use crate::outbox::LeftOut;
 
-/// Collects the frames that ingest takes and the new normals, and sends the list after each tick.
+/// Collects the frames that ingest takes and the statements of persons, and sends the list after each tick.
 #[derive(Debug)]
 pub(crate) struct Journal {
     writer: Writer<Ticks>,
@@ -42,9 +42,9 @@ impl Journal {
         self.taken.len() < self.writer.max_len()
     }
 
-    /// Records that the power of a robot becomes its normal.
-    pub(crate) fn note_new_normal(&mut self, robot: u32, now_ns: u64) {
-        self.list(TakenFrame::new_normal(robot, now_ns));
+    /// Records what a person states of a robot.
+    pub(crate) fn note_statement(&mut self, (robot, stated): (u32, Statement), now_ns: u64) {
+        self.list(TakenFrame::stated(robot, stated, now_ns));
     }
 
     /// Records that the run of a source has ended.

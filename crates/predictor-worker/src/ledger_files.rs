@@ -14,7 +14,7 @@ use joulebus_wire::fnv1a;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::Checkpoint;
+use crate::checkpoint::{Account, Checkpoint};
 
 /// Version of files whose ledger has neither lost accounts nor errors of the energy.
 const PLAIN: u32 = 3;
@@ -22,10 +22,12 @@ const PLAIN: u32 = 3;
 /// for new.
 const LOST: u32 = 4;
 /// The version of files that also have the mean power of robots with a battery.
-const NEWEST: u32 = 5;
+const MEANS: u32 = 5;
+/// The version of files that also have pauses of batteries, and what was learned of them.
+const NEWEST: u32 = 6;
 /// The version before, without batteries: it is read, and written as a newer one.
 const BEFORE: u32 = 2;
-const KNOWN: [u32; 4] = [NEWEST, LOST, PLAIN, BEFORE];
+const KNOWN: [u32; 5] = [NEWEST, MEANS, LOST, PLAIN, BEFORE];
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MAX_BYTES: u64 = 1 << 30;
 
@@ -288,7 +290,7 @@ fn is_cut_off(path: &Path) -> io::Result<bool> {
         beginning.as_bytes().starts_with(first) || first.iter().all(|byte| *byte == 0)
     };
     // Whole, it is another fleet's, or of another version.
-    let begins = [PLAIN, LOST, NEWEST].into_iter().any(begins);
+    let begins = [PLAIN, LOST, MEANS, NEWEST].into_iter().any(begins);
     Ok(begins && serde_json::from_slice::<IgnoredAny>(&bytes).is_err())
 }
 
@@ -305,12 +307,15 @@ fn checksum(
 }
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
-    let has_means = ledger.robots.values().any(|account| account.mean_power_w.is_some());
-    let is_plain = ledger.lost.is_empty() && ledger.errors.is_empty();
-    let schema = match (has_means, is_plain) {
-        (true, _) => NEWEST,
-        (false, false) => LOST,
-        (false, true) => PLAIN,
+    let any = |has: fn(&Account) -> bool| ledger.robots.values().any(has);
+    let schema = if any(Account::has_newest) {
+        NEWEST
+    } else if any(|account| account.mean_power_w.is_some()) {
+        MEANS
+    } else if ledger.lost.is_empty() && ledger.errors.is_empty() {
+        PLAIN
+    } else {
+        LOST
     };
     let fnv1a = checksum(schema, generation, ledger)?;
     serde_json::to_vec(&Content { schema, generation, fnv1a, ledger })
@@ -730,7 +735,7 @@ mod tests {
         assert!(matches!(error("lab"), LedgerFileError::Damaged { .. }), "{}", error("lab"));
         assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
         for (text, found) in
-            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":6}", 6)]
+            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":7}", 7)]
         {
             fs::write(&path, text).unwrap();
             let error = error("lab");

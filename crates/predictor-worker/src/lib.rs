@@ -7,6 +7,7 @@ mod journal;
 mod keyframes;
 mod ledger_files;
 mod outbox;
+mod pause;
 mod report;
 mod save_schedule;
 mod shedding;

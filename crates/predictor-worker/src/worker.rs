@@ -14,7 +14,7 @@ use joulebus_bus::{
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
 use joulebus_settings::{Policy, SettingsError};
-use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample};
+use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement};
 
 use crate::checkpoint::SentErrors;
 use crate::checkpointer::{self, CheckpointerError, Failures, THREAD as CHECKPOINTER, read_ledger};
@@ -22,6 +22,7 @@ use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
 use crate::outbox::Outbox;
+use crate::pause;
 use crate::report::{Parts, Report, by_name};
 use crate::shedding::Shedding;
 use crate::source_ports::SourcePorts;
@@ -71,8 +72,8 @@ pub struct Worker {
     current_permit: Arc<CurrentPermit>,
     /// Set for a worker that needs a permit.
     standby: Option<Standby>,
-    /// Robots whose power is their new normal.
-    normals: Option<Receiver<u32>>,
+    /// What persons state of robots.
+    statements: Option<Receiver<(u32, Statement)>>,
     /// Threads of others whose end ends the run.
     needed: Vec<ThreadWatch>,
 }
@@ -201,7 +202,7 @@ impl Worker {
         let written = saved.len();
         before.checkpoint.lost.iter().for_each(|ids| fleet.lose(*ids));
         let kept = saved
-            .into_iter()
+            .iter()
             .filter(|account| {
                 fleet.restore(account.robot, account.ledger, account.charged, account.battery)
             })
@@ -215,6 +216,9 @@ impl Worker {
             );
         }
         before.checkpoint.restore_errors(&mut fleet);
+        for line in pause::first_lines(config.settings(), &saved, clock::monotonic_ns()) {
+            tracing::warn!("{line}");
+        }
         let errors = Arc::new(SentErrors::new(&fleet));
         let mut part = vec![Sample::new(0, 0, 0); PART];
         part.clear();
@@ -285,7 +289,7 @@ impl Worker {
             header,
             current_permit,
             standby: None,
-            normals: None,
+            statements: None,
             needed: Vec::new(),
         })
     }
@@ -425,10 +429,10 @@ impl Worker {
         self.needed.push(thread);
     }
 
-    /// Takes robots from there whose power a person acknowledged as their new normal: see
-    /// [`Fleet::take_as_normal`]. The channel's bound is how many wait for a tick at most.
-    pub fn take_normals_from(&mut self, normals: Receiver<u32>) {
-        self.normals = Some(normals);
+    /// Takes from there what persons state of robots: see [`Fleet::take_statement`]. The channel's
+    /// bound is how many wait for a tick at most.
+    pub fn take_statements_from(&mut self, statements: Receiver<(u32, Statement)>) {
+        self.statements = Some(statements);
     }
 
     /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
@@ -582,15 +586,15 @@ impl Worker {
         }
     }
 
-    /// Takes the new normals that wait. Those for which the journal has no room wait for the next
+    /// Takes the statements that wait. Those for which the journal has no room wait for the next
     /// tick. Neither blocks nor locks: whoever sends them does not wait for room in the channel.
-    fn take_normals(&mut self, now_ns: u64) {
-        let Some(normals) = &self.normals else {
+    fn take_statements(&mut self, now_ns: u64) {
+        let Some(statements) = &self.statements else {
             return;
         };
-        while let Ok(robot) = normals.try_recv() {
-            self.journal.note_new_normal(robot, now_ns);
-            self.fleet.take_as_normal(robot);
+        while let Ok((robot, stated)) = statements.try_recv() {
+            self.journal.note_statement((robot, stated), now_ns);
+            self.fleet.take_statement(robot, stated, now_ns);
             // After one at least: the frames of a flooding source may fill each journal.
             if !self.journal.has_room() {
                 break;
@@ -600,7 +604,7 @@ impl Worker {
 
     fn tick(&mut self, due_ns: u64, start_ns: u64) {
         let missed = self.missed;
-        self.take_normals(start_ns);
+        self.take_statements(start_ns);
         let intake = self.fleet.begin(start_ns, missed);
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);

@@ -12,7 +12,7 @@ use joulebus_bus::{Bus, Domain, clock};
 use joulebus_config::Config;
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::{OnDrop, counting};
-use joulebus_wire::{Outlooks, PlanStates, SCHEMA_VERSION, Sample, SampleHeader, State};
+use joulebus_wire::{Outlooks, PlanStates, SCHEMA_VERSION, Sample, SampleHeader, State, Statement};
 
 #[global_allocator]
 static ALLOCATOR: counting::Counting = counting::Counting;
@@ -123,8 +123,8 @@ fn measure(case: Case) {
     let plan_states = AtomicU64::new(0);
     let stop = AtomicBool::new(false);
     let mut worker = Worker::open(&config).unwrap();
-    let (ask, normals) = sync_channel(4);
-    worker.take_normals_from(normals);
+    let (ask, statements) = sync_channel(4);
+    worker.take_statements_from(statements);
     std::thread::scope(|scope| {
         let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));
@@ -138,10 +138,13 @@ fn measure(case: Case) {
                 || keyframes.load(Ordering::Relaxed) < wanted_keyframes
                 || plan_states.load(Ordering::Relaxed) == 0
             {
-                // A new normal in each tick, of which there is always room for one more.
+                // A statement in each tick, of which there is always room for one more.
                 let has_ticked = worker.poll().unwrap();
                 done += u64::from(has_ticked);
-                assert!(!has_ticked || ask.try_send(7).is_ok(), "the tick before took it");
+                assert!(
+                    !has_ticked || ask.try_send((7, Statement::Charge(0.9))).is_ok(),
+                    "the tick before took it"
+                );
                 assert!(begin.elapsed() < PATIENCE, "no frame or no keyframe");
             }
             done

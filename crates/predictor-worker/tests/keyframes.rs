@@ -16,10 +16,13 @@ use joulebus_predictor_worker::Worker;
 use joulebus_testkit::OnDrop;
 use joulebus_wire::{
     Budget, Budgets, Forecast, Forecasts, Outlooks, PlanStates, SCHEMA_VERSION, Sample,
-    SampleHeader, State, StateHeader, TakenFrame, TickHeader, Ticks, tick_flag,
+    SampleHeader, State, StateHeader, Statement, TakenFrame, TickHeader, Ticks, tick_flag,
 };
 
 const ROBOTS: u32 = 300;
+/// What persons state of batteries.
+const STATED: [(u32, Statement); 3] =
+    [(7, Statement::Charge(0.25)), (8, Statement::Exchanged), (299, Statement::Full)];
 /// Timeout of waiting for a condition.
 const PATIENCE: Duration = Duration::from_secs(180);
 
@@ -151,8 +154,8 @@ fn verify(config: &Config, recorded: &Recorded, from: u64) -> usize {
             break;
         };
         for taken in taken {
-            if let Some(robot) = taken.new_normal_of() {
-                fleet.take_as_normal(robot);
+            if let Some((robot, stated)) = taken.statement() {
+                fleet.take_statement(robot, stated, taken.taken_ns);
                 continue;
             }
             if let Some((source_id, epoch)) = taken.ended_source() {
@@ -201,8 +204,8 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         let early = scope.spawn(|| record(&config, &early_ready, &read_early, &stop));
         eventually(|| early_ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
-        let (ask, normals) = sync_channel(4);
-        worker.take_normals_from(normals);
+        let (ask, statements) = sync_channel(8);
+        worker.take_statements_from(statements);
         scope.spawn(|| feed(&config, &stop));
         // Ticks only when both have read all but the last few, because on a busy machine frames
         // would be overwritten before they are read.
@@ -219,7 +222,10 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         run(150);
         // One of them is not in the fleet.
         for robot in [7, 8, 9_999] {
-            ask.send(robot).unwrap();
+            ask.send((robot, Statement::NewNormal)).unwrap();
+        }
+        for stated in STATED {
+            ask.send(stated).unwrap();
         }
         run(1);
         let late = scope.spawn(|| record(&config, &late_ready, &read_late, &stop));
@@ -235,8 +241,9 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
     });
     assert!(early.keyframes.contains_key(&0), "the state before the first tick");
     let taken = early.ticks.values().flat_map(|(_, taken)| taken);
-    let normals: Vec<u32> = taken.filter_map(TakenFrame::new_normal_of).collect();
-    assert_eq!(normals, [7, 8, 9_999]);
+    let statements: Vec<_> = taken.filter_map(TakenFrame::statement).collect();
+    let normals = [7, 8, 9_999].map(|robot| (robot, Statement::NewNormal));
+    assert_eq!(statements, [&normals[..], &STATED].concat());
     let compared = verify(&config, &early, 0);
     assert!(compared > 100 * ROBOTS as usize, "{compared} forecasts compared");
     let first = *late.keyframes.keys().next().expect("a late reader gets a keyframe at once");
@@ -263,8 +270,8 @@ fn a_flood_of_frames_holds_no_new_normal_back() {
     );
     let config = Config::parse(&text, &root.join("nowhere")).unwrap();
     let mut worker = Worker::open(&config).unwrap();
-    let (ask, normals) = sync_channel(1);
-    worker.take_normals_from(normals);
+    let (ask, statements) = sync_channel(1);
+    worker.take_statements_from(statements);
     let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
     let mut writer = bus.sample_writer(&config.limits(), 1).unwrap();
     let mut ticks = bus.reader::<Ticks>(&config.limits()).unwrap();
@@ -275,7 +282,7 @@ fn a_flood_of_frames_holds_no_new_normal_back() {
         ..SampleHeader::default()
     };
     for _ in 0..5 {
-        ask.try_send(0).expect("the tick before took it");
+        ask.try_send((0, Statement::NewNormal)).expect("the tick before took it");
         let mut has_ticked = false;
         while !has_ticked {
             // As many as are buffered, which is as many as a journal lists.

@@ -45,6 +45,9 @@ pub struct RobotState {
     pub charger: Charger,
     /// The battery has been exchanged since the last frame.
     pub swapped: bool,
+    /// The robot is switched off: until its next frame it draws what it draws at rest. A silence
+    /// without it costs the platform's greatest power.
+    pub off: bool,
     /// What the robot reports is implausible: answers about its plans are never a yes. A
     /// [`crate::Publisher`] that judges sets it by itself.
     pub implausible: bool,
@@ -140,6 +143,12 @@ impl RobotState {
     /// With a battery that has been exchanged since the last frame.
     pub const fn swapped(mut self) -> Self {
         self.swapped = true;
+        self
+    }
+
+    /// Of a robot that is switched off: its last frame until it is switched on again.
+    pub const fn off(mut self) -> Self {
+        self.off = true;
         self
     }
 }
@@ -273,6 +282,9 @@ fn sample(state: &RobotState, seq: u64, stamp_ns: u64, measured_ns: u64) -> Samp
     if state.swapped {
         sample.flags |= sample_flag::SWAPPED;
     }
+    if state.off {
+        sample.flags |= sample_flag::OFF;
+    }
     if state.implausible {
         sample.flags |= sample_flag::IMPLAUSIBLE;
     }
@@ -347,7 +359,7 @@ mod tests {
     #[test]
     fn unknown_values_are_nan_and_not_flagged() {
         use sample_flag::{
-            CHARGING, CURRENT, FULL, HELD, OMEGA, POWER, RETURN, SOC, SWAPPED, V, VOLTAGE,
+            CHARGING, CURRENT, FULL, HELD, OFF, OMEGA, POWER, RETURN, SOC, SWAPPED, V, VOLTAGE,
         };
         let new = RobotState::new(1);
         let only_v = RobotState { v_mps: Some(0.0), ..new };
@@ -363,6 +375,7 @@ mod tests {
             (new.charger(Charger::Full), CHARGING | FULL),
             (new.charger(Charger::Full).swapped(), CHARGING | FULL | SWAPPED),
             (new.swapped(), SWAPPED),
+            (new.off(), OFF),
             (new.state_of_charge(0.0), SOC),
             (new.return_energy(0.0), RETURN),
             // Without a reading there is nothing to repeat.

@@ -247,7 +247,7 @@ impl Run {
 mod tests {
     use joulebus_wire::{
         Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts, FrameHeader as _,
-        Outlooks, PlanStates, SampleHeader, tick_flag,
+        Outlooks, PlanStates, SampleHeader, Statement, tick_flag,
     };
 
     use super::*;
@@ -359,7 +359,7 @@ mod tests {
                     frame(1, 5, 8),
                     tick(4),
                     tick(5),
-                    journal(6, 0, vec![TakenFrame::new_normal(0, 0)]),
+                    journal(6, 0, vec![TakenFrame::stated(0, Statement::NewNormal, 0)]),
                 ],
                 0,
                 0,

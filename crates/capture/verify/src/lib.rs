@@ -673,11 +673,11 @@ fn follows((run, tick): (u64, u64), next: (u64, u64)) -> bool {
     tick.checked_add(1).is_some_and(|tick| (run, tick) == next)
 }
 
-/// Takes the frames, the ends of sources and the new normals like the worker.
+/// Takes the frames, the ends of sources and the statements like the worker.
 fn take(fleet: &mut Fleet, taken: &[TakenFrame], frames: &[Option<SampleFrame>]) {
     for (taken, frame) in taken.iter().zip(frames) {
-        if let Some(robot) = taken.new_normal_of() {
-            fleet.take_as_normal(robot);
+        if let Some((robot, stated)) = taken.statement() {
+            fleet.take_statement(robot, stated, taken.taken_ns);
         }
         if let Some((source_id, epoch)) = taken.ended_source() {
             fleet.end_source(source_id, epoch);

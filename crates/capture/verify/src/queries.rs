@@ -4,18 +4,21 @@ use std::collections::BTreeMap;
 
 use joulebus_fleet::Fleet;
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Fleet as PlanFleet, Question, Refused, Reply, RobotRows, acknowledgement};
+use joulebus_plan::{
+    Fleet as PlanFleet, Question, Refused, Reply, RobotRows, acknowledgement, statement,
+};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
     Acknowledgement, AcknowledgementHeader, Acknowledgements, AnswerHeader, Budget, Channel as _,
-    MAX_QUERY_STEPS, PlanState, QueryKind, QueryRefusal, answer_parts, fnv1a, query_flag,
+    MAX_QUERY_STEPS, PlanState, QueryHeader, QueryKind, QueryRefusal, answer_parts, fnv1a,
+    query_flag,
 };
 
 use crate::compare::{self, FieldDifference};
 use crate::coverage::{QUERIES, Settled};
 use crate::loss::Loss;
-use crate::refusals::{self, Refusals};
+use crate::refusals::{self, Refusals, is_by_a_person};
 use crate::report::Verification;
 use joulebus_capture_format::{MessageKind, Query};
 
@@ -100,7 +103,7 @@ impl Queries {
         let asked = (query, fnv1a(fleet.bytes()));
         let record = &asked.0.record;
         report.queries += 1;
-        let is_acknowledgement = record.query.kind == QueryKind::Acknowledge.code();
+        let is_acknowledgement = is_by_a_person(record.query.kind);
         report.acknowledgements += u64::from(is_acknowledgement);
         let is_compared = is_acknowledgement || !self.has_other_rules;
         // Others are refused before anything else.
@@ -167,18 +170,22 @@ impl Queries {
         self.span.map(|(_, last)| last).or(self.first).map_or(0, |(run, _)| run)
     }
 
-    /// Checks that the question is an acknowledgement, and was answered like one. Whether the alarm
-    /// was raised is not computed.
+    /// Checks that the question is a person's statement, and was answered like one. Whether the alarm
+    /// was raised, or the robot has a battery, is not computed.
     fn verify_acknowledgement(&self, (query, fleet): &Asked, report: &mut Verification) -> Settled {
         let (record, values) = (&query.record, &query.values);
-        let decoded = acknowledgement::decode(&record.query, values, *fleet, 0);
+        let decoded = decode_by_a_person(&record.query, values, *fleet);
         let reason = QueryRefusal::decode(record.answer.refusal);
         // A host without a worker takes none.
         let is_new_normal = record.query.flags & query_flag::NEW_NORMAL != 0;
-        if decoded.is_ok()
-            && (reason == Some(QueryRefusal::NotRaised)
-                || (is_new_normal && reason == Some(QueryRefusal::Kind)))
-        {
+        let is_of_battery = record.query.kind == QueryKind::Battery.code();
+        let by_people = match reason {
+            Some(QueryRefusal::NotRaised) => !is_of_battery,
+            Some(QueryRefusal::Kind) => is_new_normal || is_of_battery,
+            Some(QueryRefusal::UnknownRobot | QueryRefusal::Question) => is_of_battery,
+            _ => false,
+        };
+        if decoded.is_ok() && by_people {
             return Settled::Not(Loss::ByPeople);
         }
         let computed = decoded.map(|_| Reply::default());
@@ -356,11 +363,18 @@ enum Found<'a> {
 /// True if the question, or the acknowledgement, is one.
 fn is_decoded((query, fleet): &Asked) -> bool {
     let (asked, values) = (&query.record.query, &query.values);
-    if asked.kind == QueryKind::Acknowledge.code() {
-        acknowledgement::decode(asked, values, *fleet, 0).is_ok()
+    if is_by_a_person(asked.kind) {
+        decode_by_a_person(asked, values, *fleet).is_ok()
     } else {
         Question::decode(asked, values, *fleet).is_ok()
     }
+}
+
+fn decode_by_a_person(asked: &QueryHeader, values: &[f64], fleet: u64) -> Result<(), Refused> {
+    if asked.kind == QueryKind::Battery.code() {
+        return statement::decode(asked, values, fleet).map(drop);
+    }
+    acknowledgement::decode(asked, values, fleet, 0).map(drop)
 }
 
 /// True if it was answered, or refused for a reason that follows from the question.

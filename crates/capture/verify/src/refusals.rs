@@ -87,6 +87,11 @@ pub(super) fn is_of_time(record: &QueryRecord) -> bool {
     reason.is_some_and(|reason| reasons.contains(&reason))
 }
 
+/// True if a question of this kind is none, but what a person states.
+pub(super) fn is_by_a_person(kind: u32) -> bool {
+    matches!(QueryKind::decode(kind), Some(QueryKind::Acknowledge | QueryKind::Battery))
+}
+
 impl Refusals {
     /// Notes a tick of which the journal was recorded. Those of a run come in order.
     pub(super) fn note_tick(&mut self, run: u64, start_ns: u64) {
@@ -163,7 +168,7 @@ impl Refusals {
     ) {
         use QueryRefusal as Reason;
         let answer = &record.answer;
-        let is_acknowledgement = record.query.kind == QueryKind::Acknowledge.code();
+        let is_acknowledgement = is_by_a_person(record.query.kind);
         let refusal = Waiting { run, sent_ns: answer.sent_ns };
         let hash = self.hasher.hash_one(bytes_of(record));
         let server = self.servers.entry(record.begun_ns).or_default();

@@ -33,13 +33,7 @@ pub(super) fn run(args: &Args, of: &[String], output: Output) -> anyhow::Result<
         UsageError(format!("{robot:?} is no id of a robot, allowed: 0 to {}", u32::MAX))
     })?;
     let alarm = alarm_named(alarm)?;
-    let by = name(args.by.as_deref())?;
-    if Acknowledgement::new(robot, alarm, 0, &by).is_none() {
-        let text = format!(
-            "--by {by:?}: allowed are 1 to {MAX_NAME_BYTES} bytes without control characters"
-        );
-        return Err(UsageError(text).into());
-    }
+    let by = person(args.by.as_deref())?;
     if args.new_normal && !alarm.is_of_level() {
         let text = format!(
             "{} cannot be the new normal, allowed: LevelHigh, LevelLow. Acknowledge it without \
@@ -73,14 +67,22 @@ fn alarm_named(name: &str) -> Result<Alarm, UsageError> {
     })
 }
 
-/// Name of the person who acknowledges: as given, or the user.
-fn name(by: Option<&str>) -> Result<String, UsageError> {
+/// Name of the person who acknowledges or states: as given, or the user.
+pub(crate) fn person(by: Option<&str>) -> Result<String, UsageError> {
     let variables = ["USER", "LOGNAME"].into_iter();
     let user =
         || variables.filter_map(|name| std::env::var(name).ok()).find(|user| !user.is_empty());
-    by.map(str::to_owned)
-        .or_else(user)
-        .ok_or_else(|| UsageError("the environment has no USER: say who with --by NAME".to_owned()))
+    let by = by.map(str::to_owned).or_else(user);
+    let by = by.ok_or_else(|| {
+        UsageError("the environment has no USER: say who with --by NAME".to_owned())
+    })?;
+    if Acknowledgement::new(0, Alarm::NoData, 0, &by).is_none() {
+        let text = format!(
+            "--by {by:?}: allowed are 1 to {MAX_NAME_BYTES} bytes without control characters"
+        );
+        return Err(UsageError(text));
+    }
+    Ok(by)
 }
 
 impl fmt::Display for Taken {

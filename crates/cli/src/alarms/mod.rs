@@ -19,6 +19,7 @@ use serde::Serialize;
 
 use joulebus_program::utc::Utc;
 
+pub(crate) use acknowledge::person;
 pub(crate) use log::{AlarmLog, AlarmReport};
 
 /// Show each raise and each end of an alarm, with its duration: of a running fleet, or of captures

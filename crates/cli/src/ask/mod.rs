@@ -14,7 +14,7 @@ use joulebus_plan::report::{AnswerReport, AnswersReport};
 use joulebus_plan::{MAX_STEPS, Path, Plan, Question, QuestionError, Reply};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError, ViewError};
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::Output;
+use joulebus_program::output::{Output, log_line};
 use joulebus_wire::QueryRefusal;
 
 use crate::configs;
@@ -257,6 +257,12 @@ impl Args {
             QuestionError::Ask(error) => UsageError(error.to_string()).into(),
             error => anyhow::Error::from(error),
         })?;
+        for row in &reply.rows {
+            let budget = view.rows(row.robot).and_then(|rows| rows.budget);
+            if let Some(note) = budget.and_then(|(_, budget)| budget.pause_note()) {
+                log_line(&format!("robot {}: {note}", row.robot));
+            }
+        }
         Ok(Asked { config, tick: view.tick(), age_ns: view.age_ns(), reply, missing })
     }
 

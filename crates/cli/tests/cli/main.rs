@@ -3,6 +3,7 @@
 
 mod alarms;
 mod ask;
+mod battery;
 mod calibrate;
 mod captures;
 mod data;

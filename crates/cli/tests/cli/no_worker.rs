@@ -32,6 +32,8 @@ const WAITS: &[&str] = &[
 /// Verbs that end with an error.
 const ENDS: &[&str] = &[
     "alarms --acknowledge 1 NoData --by ann",
+    "battery",
+    "battery 1 --full --by ann",
     "ask --robot 1 --idle 10",
     "ask --robot 1 --idle 10 --through worker",
     "watch --once",

@@ -36,6 +36,11 @@ pub mod acknowledgement {
     pub use crate::payload::{decode_acknowledgement as decode, encode_acknowledgement as encode};
 }
 
+/// What persons state of robots' batteries, as it travels among questions.
+pub mod statement {
+    pub use crate::payload::{decode_statement as decode, encode_statement as encode};
+}
+
 /// Answering in short steps, for programs that answer others meanwhile or can be interrupted: the
 /// worker's thread, `joulebus serve`, Python and C. [`Question::answer`] does all at once.
 pub mod answering {

@@ -3,7 +3,8 @@
 use joulebus_wire::{
     Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_ANSWER_WORDS,
     MAX_NAME_BYTES, MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_VALUES, QueryHeader,
-    QueryKind, QueryRefusal, ROW_WORDS, SCHEMA_VERSION, answer_flag, answer_parts, query_flag,
+    QueryKind, QueryRefusal, ROW_WORDS, SCHEMA_VERSION, Statement, answer_flag, answer_parts,
+    query_flag,
 };
 
 use crate::answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
@@ -108,20 +109,49 @@ pub fn encode_acknowledgement(
     new_normal: bool,
     fleet: u64,
 ) -> Result<(QueryHeader, Vec<f64>), Refused> {
-    if Acknowledgement::new(robot, alarm, 0, by).is_none() {
+    check_new_normal(alarm, new_normal)?;
+    let (mut header, values) =
+        stated(QueryKind::Acknowledge, &[robot.into(), alarm.code().into()], by, fleet)?;
+    header.flags = flag(new_normal, query_flag::NEW_NORMAL);
+    Ok((header, values))
+}
+
+/// Encodes what the person `by` states of a robot's battery, for the fleet whose name has this
+/// hash.
+///
+/// # Errors
+/// [`Acknowledgement::new`] states which names are allowed, and [`Statement`] which charge is.
+pub fn encode_statement(
+    robot: u32,
+    statement: Statement,
+    by: &str,
+    fleet: u64,
+) -> Result<(QueryHeader, Vec<f64>), Refused> {
+    let (code, value) = statement.encode();
+    battery_statement(code.into(), value.into())?;
+    stated(QueryKind::Battery, &[robot.into(), code.into(), value.into()], by, fleet)
+}
+
+/// A question that is none: values, and then the characters of a person's name.
+fn stated(
+    kind: QueryKind,
+    values: &[f64],
+    by: &str,
+    fleet: u64,
+) -> Result<(QueryHeader, Vec<f64>), Refused> {
+    if Acknowledgement::new(0, Alarm::NoData, 0, by).is_none() {
         return Err(no_name(by));
     }
-    check_new_normal(alarm, new_normal)?;
-    let name = by.chars().map(u32::from);
-    let values: Vec<f64> =
-        [robot, alarm.code().into()].into_iter().chain(name).map(f64::from).collect();
+    let name = by.chars().map(|letter| f64::from(u32::from(letter)));
+    let mut values = values.to_vec();
+    let before = values.len();
+    values.extend(name);
     let header = QueryHeader {
         schema: SCHEMA_VERSION,
         fleet,
-        kind: QueryKind::Acknowledge.code(),
-        flags: flag(new_normal, query_flag::NEW_NORMAL),
+        kind: kind.code(),
         robots: 1,
-        steps: count(values.len() - 2),
+        steps: count(values.len() - before),
         ..QueryHeader::default()
     };
     Ok((header, values))
@@ -146,9 +176,45 @@ pub fn decode_acknowledgement(
         Refused::new(QueryRefusal::Question, text)
     })?;
     check_new_normal(alarm, header.flags & query_flag::NEW_NORMAL != 0)?;
-    let name = values[2..].iter().map(|value| value_as_char(*value));
-    let name: String = name.map(|found| found.unwrap_or(char::REPLACEMENT_CHARACTER)).collect();
+    let name = name(&values[2..]);
     Acknowledgement::new(id, alarm, at_ns, &name).ok_or_else(|| no_name(&name))
+}
+
+/// Decodes an untrusted header and values as what a person states of a robot's battery: the robot,
+/// the statement, and by whom.
+///
+/// # Errors
+/// [`Refused`], with the reason. Whether the robot has a battery is found later.
+pub fn decode_statement(
+    header: &QueryHeader,
+    values: &[f64],
+    fleet: u64,
+) -> Result<(u32, Statement, String), Refused> {
+    check(header, fleet)?;
+    expected_values(header, values.len())?;
+    let (id, name) = (robot(values[0])?, name(&values[3..]));
+    let statement = battery_statement(values[1], values[2])?;
+    if Acknowledgement::new(id, Alarm::NoData, 0, &name).is_none() {
+        return Err(no_name(&name));
+    }
+    Ok((id, statement, name))
+}
+
+fn battery_statement(code: f64, value: f64) -> Result<Statement, Refused> {
+    let decoded = Statement::decode(code as u32, value as f32);
+    let known = decoded.filter(|known| known.is_of_battery() && f64::from(code as u32) == code);
+    known.ok_or_else(|| {
+        let text = format!(
+            "{code} with {value} is no statement of a battery, allowed: 1 with a state of charge \
+             from 0 to 1, 2 full, 3 exchanged"
+        );
+        Refused::new(QueryRefusal::Question, text)
+    })
+}
+
+fn name(values: &[f64]) -> String {
+    let letters = values.iter().map(|value| value_as_char(*value));
+    letters.map(|found| found.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
 }
 
 /// Refuses an alarm that does not compare a robot with its own level.
@@ -231,8 +297,8 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
                     .then_some(Point::new(header.return_x_m, header.return_y_m)),
             }
         }
-        QueryKind::Acknowledge => {
-            let text = "an acknowledgement is no question about a plan".to_owned();
+        QueryKind::Acknowledge | QueryKind::Battery => {
+            let text = "a person's statement is no question about a plan".to_owned();
             return Err(Refused::new(QueryRefusal::Kind, text));
         }
     })
@@ -241,6 +307,7 @@ fn plan(header: &QueryHeader, robots: Vec<u32>, values: &[f64]) -> Result<Plan, 
 fn kind(header: &QueryHeader) -> Result<QueryKind, Refused> {
     let allowed = |kind: &QueryKind| match kind {
         QueryKind::Acknowledge => query_flag::NEW_NORMAL,
+        QueryKind::Battery => 0,
         QueryKind::WhatIf | QueryKind::Idle => query_flag::ALL & !query_flag::OF_PATH,
         QueryKind::Follow => query_flag::ALL,
     };
@@ -258,7 +325,7 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
     let counts = [header.robots, header.candidates, header.steps].map(|count| count as usize);
     let [robots, candidates, steps] = counts;
     let max_robots = match kind {
-        QueryKind::WhatIf | QueryKind::Acknowledge => 1,
+        QueryKind::WhatIf | QueryKind::Acknowledge | QueryKind::Battery => 1,
         QueryKind::Idle | QueryKind::Follow => MAX_QUERY_ROBOTS,
     };
     for (name, found, allowed) in [
@@ -284,6 +351,7 @@ fn expected_values(header: &QueryHeader, found: usize) -> Result<usize, Refused>
             (POINT_VALUES + given) * steps
         }
         QueryKind::Acknowledge => 1 + steps,
+        QueryKind::Battery => 2 + steps,
     };
     let expected = robots + values;
     if robots == 0 || found != expected {

@@ -12,8 +12,8 @@ pub const NO_BATTERY: &str =
     "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
 
 /// Remedy for a battery that may be full or empty, for messages.
-pub const CHARGE_UNKNOWN: &str =
-    "charge unknown: let the source send state_of_charge, or report a full or exchanged battery";
+pub const CHARGE_UNKNOWN: &str = "charge unknown: say it with `joulebus battery ROBOT --full`, --charge or --exchanged, or let \
+     the source send state_of_charge, or report a full or exchanged battery";
 
 /// A robot platform.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -183,6 +183,12 @@ impl OpenCircuit {
 }
 
 impl Platform {
+    /// True if the robot is of this platform.
+    #[must_use]
+    pub fn has(&self, robot: u32) -> bool {
+        self.robots.iter().any(|range| range.contains(&robot))
+    }
+
     /// Checks ranges and consistency. `leave_after_ns`: silence after which a robot has left.
     pub(crate) fn check(&self, leave_after_ns: u64) -> Result<(), SettingsError> {
         let check = |what: &str, found: f64, allowed: RangeInclusive<f64>| {

@@ -23,18 +23,20 @@ bits! {
         /// Energy left, usable and state of charge are known, with their bounds. Without it they
         /// are NaN: the battery may be full or empty.
         pub const CHARGE: u32 = 1 << 6;
+        /// The robot has said that it is switched off: until its next sample it draws `idle_w`.
+        pub const OFF: u32 = 1 << 7;
     }
 }
 
 rows! {
-    /// One robot's budget. 128 bytes.
+    /// One robot's budget. 144 bytes.
     ///
     /// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
     /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
     /// energy left is counted from it and fused with measured states of charge. The truth lies
     /// between the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config
     /// says. They widen with unmetered time by all that the robot could have drawn.
-    pub struct Budget: "joulebus.Budget.v2", 128 {
+    pub struct Budget: "joulebus.Budget.v3", 144 {
         /// Id of the robot.
         pub robot: u32,
         /// [`budget_flag`] bits.
@@ -90,6 +92,15 @@ rows! {
         pub sensor_bias_sd: f32,
         /// Covariance of `soc` and `sensor_bias`.
         pub sensor_covariance: f32,
+        /// Mean power at rest over the last minutes at rest (exponentially weighted), W. NaN if
+        /// unknown.
+        pub idle_w: f32,
+        /// Unmetered time since the charge was last measured, full or stated, s.
+        pub pause_s: f32,
+        /// By how much that time has lowered `soc_lo` at most, as a share.
+        pub pause: f32,
+        /// 0.
+        pub reserved: f32,
     }
 }
 
@@ -97,6 +108,26 @@ impl Budget {
     /// Energy drawn over the metered time, J.
     pub fn drawn_j(&self) -> f64 {
         self.drawn_uj as f64 * 1e-6
+    }
+
+    /// What time without readings has cost the lower bound, and what to do. `None` unless it is a
+    /// minute at least, and 1 % of the capacity.
+    #[must_use]
+    pub fn pause_note(&self) -> Option<String> {
+        let has_battery = self.flags & budget_flag::BATTERY != 0;
+        if !(has_battery && self.pause_s >= 60.0 && self.pause >= 0.01) {
+            return None;
+        }
+        let (robot, percent) = (self.robot, 100.0 * self.pause.min(1.0));
+        let minutes = f64::from(self.pause_s) / 60.0;
+        let long = match minutes < 120.0 {
+            true => format!("{minutes:.0} min"),
+            false => format!("{:.1} h", minutes / 60.0),
+        };
+        Some(format!(
+            "{long} without readings may have cost up to {percent:.0} % of the battery: say what is \
+             left with `joulebus battery {robot} --full`, --charge or --exchanged"
+        ))
     }
 
     /// The charge state.

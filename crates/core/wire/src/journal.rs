@@ -1,8 +1,8 @@
 //! The journal: which frames the worker took in each tick, in which order and at which time, which
-//! sources had ended, and which levels became the new normal. It suffices to recompute the tick.
+//! sources had ended, and what persons stated. It suffices to recompute the tick.
 
 use crate::declare::ZeroCopySend;
-use crate::rows;
+use crate::{Statement, rows};
 
 /// Bits of [`TickHeader::flags`].
 pub mod tick_flag {
@@ -21,8 +21,9 @@ rows! {
     ///
     /// Identifies the frame. Its samples are those of the frame with the same source, epoch and
     /// number on [`crate::Samples`]. A row whose `truncated` is 2³² − 1 is no frame. If its
-    /// `samples` is 0 it is a new normal: `frame_seq` is the id of the robot whose own level was
-    /// forgotten before the tick. If it is 1, the run of the source has ended.
+    /// `samples` is 0 it is a [`Statement`] of the robot with the id `frame_seq`: its code is the
+    /// lower half of `source_id`, its value as `f32` the upper one. If it is 1, the run of the
+    /// source has ended.
     #[derive(Eq)]
     pub struct TakenFrame: "joulebus.TakenFrame.v1", 40 {
         /// [`crate::SampleHeader::source_id`] of the frame.
@@ -46,11 +47,12 @@ impl TakenFrame {
     /// [`TakenFrame::truncated`] of a row that is no frame. Frames are far smaller.
     const NO_FRAME: u32 = u32::MAX;
 
-    /// Not a frame: a person acknowledged the power of `robot` as its new normal.
+    /// Not a frame: what a person states of `robot`.
     #[must_use]
-    pub const fn new_normal(robot: u32, taken_ns: u64) -> Self {
+    pub const fn stated(robot: u32, statement: Statement, taken_ns: u64) -> Self {
+        let (code, value) = statement.encode();
         Self {
-            source_id: 0,
+            source_id: (value.to_bits() as u64) << 32 | code as u64,
             source_epoch: 0,
             frame_seq: robot as u64,
             taken_ns,
@@ -77,10 +79,15 @@ impl TakenFrame {
         self.truncated != Self::NO_FRAME
     }
 
-    /// The robot, if the row is a [new normal](TakenFrame::new_normal).
-    pub const fn new_normal_of(&self) -> Option<u32> {
+    /// The robot and what was [stated](TakenFrame::stated) of it, if the row is that.
+    #[must_use]
+    pub fn statement(&self) -> Option<(u32, Statement)> {
+        if self.is_frame() || self.samples != 0 {
+            return None;
+        }
+        let value = f32::from_bits((self.source_id >> 32) as u32);
         // Only the worker writes it: a robot's id.
-        if !self.is_frame() && self.samples == 0 { Some(self.frame_seq as u32) } else { None }
+        Some((self.frame_seq as u32, Statement::decode(self.source_id as u32, value)?))
     }
 
     /// The source and its run, if the row is the [end of a source](TakenFrame::source_ended).
@@ -95,7 +102,7 @@ impl TakenFrame {
 
 rows! {
     /// Header of a tick's journal: the slice lists the frames taken since the previous tick and the
-    /// ends of sources, in the order in which they were taken, and then the new normals.
+    /// ends of sources, in the order in which they were taken, and then the statements.
     #[derive(Eq)]
     pub struct TickHeader: "joulebus.TickHeader.v1", 48 {
         /// [`crate::SCHEMA_VERSION`].

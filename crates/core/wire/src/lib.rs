@@ -18,6 +18,7 @@ mod reason;
 mod sample;
 mod service;
 mod state;
+mod statement;
 
 pub use acknowledgement::{
     Acknowledgement, AcknowledgementHeader, MAX_ACKNOWLEDGED, MAX_ACKNOWLEDGED_BY, MAX_NAME_BYTES,
@@ -47,6 +48,7 @@ pub use reason::{DropCounts, DropReason, InvalidReason, Refusal};
 pub use sample::{Freshness, Sample, SampleHeader, sample_flag};
 pub use service::{Service, WakeEvent, service_name};
 pub use state::StateHeader;
+pub use statement::Statement;
 
 /// Version of every payload in this crate. A frame with another version is refused and counted.
 pub const SCHEMA_VERSION: u32 = 4;

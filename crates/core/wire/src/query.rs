@@ -10,6 +10,7 @@
 //! | [`QueryKind::Idle`] | ids of the robots |
 //! | [`QueryKind::Follow`] | ids of the robots, then x in m, y in m, speed to it in m/s per point, then the columns that [flags](query_flag) name |
 //! | [`QueryKind::Acknowledge`] | the robot's id, the alarm's code, then the characters of a name |
+//! | [`QueryKind::Battery`] | the robot's id, code and value of a [`crate::Statement`], then the characters of a name |
 
 use crate::declare::ZeroCopySend;
 use crate::layout::{bits, names};
@@ -31,8 +32,8 @@ pub const ANSWER_RULES: u32 = 6;
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
 /// where they do not.
 ///
-/// 8: a platform remembers what its robots have shown.
-pub const TICK_RULES: u32 = 8;
+/// 9: a robot may say that it is switched off, persons state batteries, and capacity is learned.
+pub const TICK_RULES: u32 = 9;
 
 /// Maximum number of values of a question.
 pub const MAX_QUERY_VALUES: usize = 4_096;
@@ -59,6 +60,8 @@ pub enum QueryKind {
     /// No question: a person acknowledges an alarm, maybe as the [new
     /// normal](query_flag::NEW_NORMAL).
     Acknowledge,
+    /// No question: a person states a robot's battery.
+    Battery,
 }
 
 impl QueryKind {
@@ -75,6 +78,7 @@ impl QueryKind {
             2 => Self::Idle,
             3 => Self::Follow,
             4 => Self::Acknowledge,
+            5 => Self::Battery,
             _ => return None,
         })
     }
@@ -525,7 +529,7 @@ mod tests {
         for code in [0, 15, u32::MAX] {
             assert_eq!(QueryRefusal::decode(code), None);
         }
-        for code in 1..=4 {
+        for code in 1..=5 {
             assert_eq!(QueryKind::decode(code).map(QueryKind::code), Some(code));
         }
         assert_eq!(QueryKind::decode(0), None);

@@ -33,11 +33,14 @@ bits! {
         pub const SWAPPED: u32 = 1 << 10;
         /// `return_j` is known.
         pub const RETURN: u32 = 1 << 11;
+        /// The robot is switched off: until its next sample it draws what it draws at rest. Without
+        /// it a silence costs the platform's greatest power.
+        pub const OFF: u32 = 1 << 12;
         /// The source finds what the robot reports implausible: the alarm `Implausible`. From this
         /// bit on flags are the source's judgement.
         pub const IMPLAUSIBLE: u32 = 1 << 16;
         /// All defined bits.
-        pub const ALL: u32 = ((1 << 12) - 1) | IMPLAUSIBLE;
+        pub const ALL: u32 = ((1 << 13) - 1) | IMPLAUSIBLE;
     }
 }
 

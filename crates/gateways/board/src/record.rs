@@ -77,6 +77,12 @@ pub struct RobotRecord {
     /// Times that another battery was noticed.
     battery_changes: Option<u32>,
     charging: Option<bool>,
+    /// True if the robot has said that it is switched off.
+    off: Option<bool>,
+    /// Mean power at rest.
+    idle_w: Option<f64>,
+    /// What time without readings may have cost, and what to do.
+    battery_note: Option<String>,
     usable_j: Option<f64>,
     usable_lo_j: Option<f64>,
     time_to_empty_s: Option<f64>,
@@ -242,6 +248,9 @@ impl RobotRecord {
                 ChargeState::Discharging => Some(false),
                 ChargeState::Unknown => None,
             }),
+            off: battery.map(|b| b.flags & budget_flag::OFF != 0),
+            idle_w: battery.and_then(|b| known(b.idle_w.into())),
+            battery_note: battery.and_then(|b| b.pause_note()),
             usable_j: battery.and_then(|b| known(b.usable_j.into())),
             usable_lo_j: battery.and_then(|b| known(b.usable_lo_j.into())),
             time_to_empty_s: lasting.and_then(|b| known(b.time_to_empty_s.into())),

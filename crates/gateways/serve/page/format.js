@@ -3,14 +3,19 @@
 export const UNKNOWN = "–";
 const NO_BATTERY = "no [battery]: add its capacity_wh and initial_soc_lo to the platform's file";
 const CHARGE_UNKNOWN =
-  "charge unknown: let the source send state_of_charge, or report a full or exchanged battery";
+  "charge unknown: say it with `joulebus battery ROBOT --full`, --charge or --exchanged, or let " +
+  "the source send state_of_charge, or report a full or exchanged battery";
 const SPACE = "\u202f";
 
 export const isKnown = (value) => typeof value === "number" && Number.isFinite(value);
 
-/** Why the charge of a robot whose energy is counted is unknown, and what to do; else empty. */
+/**
+ * Why the charge of a robot whose energy is counted is unknown, or what a pause has cost, and what to
+ * do; else empty.
+ */
 export function chargeHint(robot) {
-  if (!isKnown(robot.metered_s) || isKnown(robot.soc)) return "";
+  if (!isKnown(robot.metered_s)) return "";
+  if (isKnown(robot.soc)) return robot.battery_note ?? "";
   return typeof robot.soc_measured === "boolean" ? CHARGE_UNKNOWN : NO_BATTERY;
 }
 

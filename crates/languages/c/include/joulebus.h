@@ -76,12 +76,17 @@
 /** return_j is known. */
 #define JOULEBUS_SAMPLE_RETURN 0x800u
 /**
+ * The robot is switched off: until its next sample it draws what it draws at rest. Without it a
+ * silence costs the platform's greatest power.
+ */
+#define JOULEBUS_SAMPLE_OFF 0x1000u
+/**
  * The source finds what the robot reports implausible: the alarm Implausible. From this bit on
  * flags are the source's judgement.
  */
 #define JOULEBUS_SAMPLE_IMPLAUSIBLE 0x10000u
 /** All defined bits. */
-#define JOULEBUS_SAMPLE_ALL 0x10fffu
+#define JOULEBUS_SAMPLE_ALL 0x11fffu
 
 /** power_w is known. */
 #define JOULEBUS_FORECAST_POWER 0x1u
@@ -122,6 +127,8 @@
  * the battery may be full or empty.
  */
 #define JOULEBUS_BUDGET_CHARGE 0x40u
+/** The robot has said that it is switched off: until its next sample it draws idle_w. */
+#define JOULEBUS_BUDGET_OFF 0x80u
 
 /** A sample has been accepted: stamp_ns is known. */
 #define JOULEBUS_OUTLOOK_SAMPLE 0x1u
@@ -556,7 +563,7 @@ typedef struct joulebus_diagnostic_header {
 } joulebus_diagnostic_header;
 
 /**
- * One robot's budget. 128 bytes.
+ * One robot's budget. 144 bytes.
  * The ledger part (drawn_uj, drawn_remainder, metered_ns, unmetered_ns, stamp_ns) is exact:
  * metered_ns + unmetered_ns is the time from the first sample to stamp_ns. The energy left is
  * counted from it and fused with measured states of charge. The truth lies between the bounds (_lo,
@@ -623,6 +630,16 @@ typedef struct joulebus_budget {
     float sensor_bias_sd;
     /** Covariance of soc and sensor_bias. */
     float sensor_covariance;
+    /**
+     * Mean power at rest over the last minutes at rest (exponentially weighted), W. NaN if unknown.
+     */
+    float idle_w;
+    /** Unmetered time since the charge was last measured, full or stated, s. */
+    float pause_s;
+    /** By how much that time has lowered soc_lo at most, as a share. */
+    float pause;
+    /** 0. */
+    float reserved;
 } joulebus_budget;
 
 /** Header of a frame of budgets. */
@@ -1186,7 +1203,7 @@ typedef struct joulebus_robot_state {
     uint32_t robot;
     /**
      * JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which
-     * implies CHARGING) and SWAPPED. Others are refused.
+     * implies CHARGING), SWAPPED and OFF. Others are refused.
      */
     uint32_t flags;
     /**

@@ -247,6 +247,8 @@ struct RobotState : joulebus_robot_state {
     RobotState &full() noexcept { return with(JOULEBUS_SAMPLE_CHARGING | JOULEBUS_SAMPLE_FULL); }
     /** With a battery that has been exchanged since the last frame. */
     RobotState &swapped() noexcept { return with(JOULEBUS_SAMPLE_SWAPPED); }
+    /** Of a robot that is switched off: its last frame until it is switched on again. */
+    RobotState &off() noexcept { return with(JOULEBUS_SAMPLE_OFF); }
 
 private:
     RobotState &with(std::uint32_t bits) noexcept {

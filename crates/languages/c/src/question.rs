@@ -34,7 +34,7 @@ pub(crate) unsafe fn read(from: &joulebus_question, power: bool) -> Result<Quest
             // SAFETY: as above.
             unsafe { follow(from, robots) }?
         }
-        Some(QueryKind::Acknowledge) | None => {
+        Some(QueryKind::Acknowledge | QueryKind::Battery) | None => {
             return Err(Failure::argument(format!(
                 "kind of a question is {}, allowed are JOULEBUS_QUERY_KIND_WHAT_IF, _IDLE and _FOLLOW",
                 from.kind

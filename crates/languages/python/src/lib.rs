@@ -55,7 +55,7 @@ mod _native {
     #[pymodule_export]
     use crate::publisher::PublisherPort;
     #[pymodule_export]
-    use crate::questions::{QuestionPorts, acknowledge};
+    use crate::questions::{QuestionPorts, acknowledge, state_battery};
     #[cfg(feature = "lab")]
     #[pymodule_export]
     use crate::recordings::{CaptureRows, read_bag, read_trials, trial_rows, write_trial};

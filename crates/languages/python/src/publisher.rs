@@ -138,7 +138,7 @@ fn robots(ids: &Bound<'_, PyAny>, columns: &Bound<'_, PyDict>) -> PyResult<Vec<R
         let Some(set) = setter(&name) else {
             return Err(PyValueError::new_err(format!(
                 "there is no column {name}, allowed are v, omega, power, voltage, current, soc, return_j, held, \
-                 charging, full, swapped"
+                 charging, full, swapped, off"
             )));
         };
         match set {
@@ -189,6 +189,7 @@ fn setter(name: &str) -> Option<Setter> {
             }
         }),
         "swapped" => Truth(|robot, value| robot.swapped = value),
+        "off" => Truth(|robot, value| robot.off = value),
         _ => return None,
     })
 }

@@ -8,8 +8,8 @@ use joulebus_plan::answering::Work;
 use joulebus_plan::{
     Fleet, MAX_STEPS, Path, Plan, Point, Question, QuestionError, RobotRows, Row, Verdict,
 };
-use joulebus_planner::{Config, PlanClient, Planner, ViewError};
-use joulebus_wire::Alarm;
+use joulebus_planner::{ClientError, Config, PlanClient, Planner, ViewError};
+use joulebus_wire::{Alarm, Statement};
 use pyo3::exceptions::{PyKeyError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -44,15 +44,50 @@ pub(crate) fn acknowledge(
         let allowed = Alarm::ALL.map(Alarm::name).join(", ");
         PyValueError::new_err(format!("{alarm:?} is no alarm of a robot, allowed: {allowed}"))
     })?;
+    told(py, joined, timeout_s, |client, timeout| {
+        client.acknowledge(robot, alarm, by, new_normal, timeout)
+    })
+}
+
+/// States a robot's battery: the worker is asked.
+#[pyfunction]
+#[allow(clippy::too_many_arguments, reason = "arguments of one call in Python")]
+pub(crate) fn state_battery(
+    py: Python<'_>,
+    joined: (PathBuf, String),
+    robot: u32,
+    charge: Option<f32>,
+    full: bool,
+    exchanged: bool,
+    by: &str,
+    timeout_s: f64,
+) -> PyResult<()> {
+    let statement = match (charge, full, exchanged) {
+        (Some(soc), false, false) => Statement::Charge(soc),
+        (None, true, false) => Statement::Full,
+        (None, false, true) => Statement::Exchanged,
+        _ => return Err(PyValueError::new_err("state one of charge, full and exchanged")),
+    };
+    told(py, joined, timeout_s, |client, timeout| {
+        client.state_battery(robot, statement, by, timeout)
+    })
+}
+
+/// Has the worker take what a person states.
+fn told(
+    py: Python<'_>,
+    (config, name): (PathBuf, String),
+    timeout_s: f64,
+    tell: impl FnOnce(&mut PlanClient, Duration) -> Result<(), ClientError> + Send,
+) -> PyResult<()> {
     let timeout = Duration::try_from_secs_f64(timeout_s);
     let timeout = timeout.map_err(|error| PyValueError::new_err(error.to_string()))?;
-    let (config, name) = joined;
     py.detach(|| {
         let failed = |error: &dyn std::fmt::Display| ConnectError::new_err(error.to_string());
         let config = Config::load(config).map_err(|error| failed(&error))?;
         let client = PlanClient::with_config(&config, &name);
         let mut client = client.map_err(|error| failed(&error))?;
-        let taken = client.acknowledge(robot, alarm, by, new_normal, timeout);
+        let taken = tell(&mut client, timeout);
         taken.map_err(|error| PyRuntimeError::new_err(error.to_string()))
     })
 }

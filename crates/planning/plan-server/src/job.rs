@@ -2,9 +2,9 @@
 
 use joulebus_bus::{OpenQuery, PeerWatch};
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Question, Refused, acknowledgement};
+use joulebus_plan::{Question, Refused, acknowledgement, statement};
 use joulebus_wire::{
-    Acknowledgement, AnswerHeader, QueryHeader, QueryKind, QueryRefusal, query_flag,
+    Acknowledgement, AnswerHeader, QueryHeader, QueryKind, QueryRefusal, Statement, query_flag,
 };
 
 /// A question's process is watched from this age on, ns: most are answered before.
@@ -41,16 +41,21 @@ pub(crate) enum State {
     Working(Work),
     /// Waits for diagnostics, which state whether the alarm is raised.
     Acknowledging(Acknowledgement),
+    /// A robot, what is stated of its battery, and by whom.
+    Stating(u32, Statement, String),
 }
 
 impl Job {
     /// Copies and checks a question.
     pub(crate) fn take(query: OpenQuery, fleet: u64, now_ns: u64) -> (Self, Result<(), Refused>) {
         let (header, values) = (*query.header(), query.values().to_vec());
-        let decoded = if header.kind == QueryKind::Acknowledge.code() {
-            acknowledgement::decode(&header, &values, fleet, now_ns).map(State::Acknowledging)
-        } else {
-            Question::decode(&header, &values, fleet).map(State::Waiting)
+        let decoded = match QueryKind::decode(header.kind) {
+            Some(QueryKind::Acknowledge) => {
+                acknowledgement::decode(&header, &values, fleet, now_ns).map(State::Acknowledging)
+            }
+            Some(QueryKind::Battery) => statement::decode(&header, &values, fleet)
+                .map(|(robot, stated, by)| State::Stating(robot, stated, by)),
+            _ => Question::decode(&header, &values, fleet).map(State::Waiting),
         };
         let (state, checked) = match decoded {
             Ok(state) => (state, Ok(())),
@@ -81,7 +86,7 @@ impl Job {
     pub(crate) const fn acknowledgement(&self) -> Option<Acknowledgement> {
         match self.state {
             State::Acknowledging(row) => Some(row),
-            State::Waiting(_) | State::Working(_) => None,
+            State::Waiting(_) | State::Working(_) | State::Stating(..) => None,
         }
     }
 

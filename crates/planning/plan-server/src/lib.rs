@@ -19,7 +19,7 @@ use joulebus_bus::{Background, Steps, ThreadWatch, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_models::{ModelsError, load_models};
 use joulebus_plan::Fleet;
-use joulebus_wire::QueryCounts;
+use joulebus_wire::{QueryCounts, Statement};
 use serde::Serialize;
 
 use acknowledgements::Table;
@@ -27,8 +27,8 @@ use server::Server;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
 const OPEN_EVERY: Duration = Duration::from_millis(20);
-/// Robots whose new normal waits for the worker's next tick, at most.
-pub const MAX_NORMALS: usize = 64;
+/// Statements of persons that wait for the worker's next tick, at most.
+pub const MAX_STATEMENTS: usize = 64;
 /// Timeout of the first opening, for which a worker waits, and the interval of its checks.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(2);
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -77,18 +77,21 @@ impl PlanServer {
     /// opened, because the thread would inherit the worker's CPUs and priority. It opens nothing
     /// yet.
     ///
-    /// `normals` leads to the worker of this process. It gets the ids of robots whose power is
-    /// acknowledged as their new normal. Without it such an acknowledgement is refused.
+    /// `statements` leads to the worker of this process. It gets what persons state of robots.
+    /// Without it a new normal and the state of a battery are refused.
     ///
     /// # Errors
     /// [`StartError`].
-    pub fn start(config: &Config, normals: Option<SyncSender<u32>>) -> Result<Self, StartError> {
+    pub fn start(
+        config: &Config,
+        statements: Option<SyncSender<(u32, Statement)>>,
+    ) -> Result<Self, StartError> {
         let shared = Arc::new(Shared::default());
         let thread = if config.queries().answer {
             let models = Fleet::new(config.settings(), &load_models(config)?);
             let (config, shared) = (config.clone(), Arc::clone(&shared));
             Some(Background::start("joulebus-queries", move || {
-                Ok::<_, StartError>(Answering::new(config, models, shared, normals))
+                Ok::<_, StartError>(Answering::new(config, models, shared, statements))
             })?)
         } else {
             None
@@ -147,7 +150,7 @@ struct Answering {
     config: Config,
     models: Fleet,
     shared: Arc<Shared>,
-    normals: Option<SyncSender<u32>>,
+    statements: Option<SyncSender<(u32, Statement)>>,
     server: Option<Server>,
     begun_ns: u64,
     counts: QueryCounts,
@@ -161,14 +164,14 @@ impl Answering {
         config: Config,
         models: Fleet,
         shared: Arc<Shared>,
-        normals: Option<SyncSender<u32>>,
+        statements: Option<SyncSender<(u32, Statement)>>,
     ) -> Self {
         yield_to_the_worker(config.queries().nice);
         Self {
             config,
             models,
             shared,
-            normals,
+            statements,
             server: None,
             begun_ns: clock::monotonic_ns(),
             counts: QueryCounts::default(),
@@ -179,7 +182,7 @@ impl Answering {
 
     fn open(&mut self) {
         let before = (self.begun_ns, self.counts, self.table.clone());
-        match Server::open(&self.config, &self.models, self.normals.as_ref(), before) {
+        match Server::open(&self.config, &self.models, self.statements.as_ref(), before) {
             Ok(server) => {
                 self.server = Some(server);
                 self.failures = 0;

@@ -9,7 +9,7 @@ use joulebus_plan::{Fleet, QuestionError, Refused, Reply};
 use joulebus_planner::{Planner, View};
 use joulebus_wire::{
     Acknowledgement, AnswerHeader, MAX_QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal,
-    SCHEMA_VERSION, fnv1a,
+    SCHEMA_VERSION, Statement, fnv1a,
 };
 
 use crate::acknowledgements::{Acknowledged, Table};
@@ -49,7 +49,7 @@ pub(crate) struct Server {
     fair: Fair,
     counts: QueryCounts,
     /// To the worker of this process, if there is one.
-    normals: Option<SyncSender<u32>>,
+    statements: Option<SyncSender<(u32, Statement)>>,
     /// When a client was connected last, monotonic ns.
     asked_ns: u64,
 }
@@ -60,7 +60,7 @@ impl Server {
     pub(crate) fn open(
         config: &Config,
         models: &Fleet,
-        normals: Option<&SyncSender<u32>>,
+        statements: Option<&SyncSender<(u32, Statement)>>,
         (begun_ns, counts, table): (u64, QueryCounts, Table),
     ) -> Result<Self, ServerError> {
         let bus = Bus::join(&config.domain()?, "queries")?;
@@ -78,7 +78,7 @@ impl Server {
             limits,
             fair: Fair::default(),
             counts,
-            normals: normals.cloned(),
+            statements: statements.cloned(),
             asked_ns: 0,
         })
     }
@@ -157,7 +157,12 @@ impl Server {
             let of_process = self.jobs.iter().filter(|other| other.client == job.client);
             if let Err(refused) = checked {
                 self.refuse(job, &refused)?;
-            } else if job.is_new_normal() && self.normals.is_none() {
+            } else if let State::Stating(robot, statement, by) = &job.state {
+                match self.state_battery(*robot, *statement, by) {
+                    Ok(()) => self.answer(job, |_| Reply::default())?,
+                    Err(refused) => self.refuse(job, &refused)?,
+                }
+            } else if job.is_new_normal() && self.statements.is_none() {
                 let text = "this host has no worker that takes a new normal: ask on the host that \
                             has one, or only acknowledge the alarm";
                 self.refuse(job, &Refused::new(QueryRefusal::Kind, text.to_owned()))?;
@@ -204,7 +209,11 @@ impl Server {
             // Else the answer would be that its time is over, although the worker took it.
             let taken = match job.is_over(now_ns) {
                 Some(refused) => Err(refused),
-                None if is_new_normal => entered.and_then(|()| self.pass_on(row.robot)),
+                None if is_new_normal => entered.and_then(|()| {
+                    let (robot, normal) = (row.robot, Statement::NewNormal);
+                    let but = "is acknowledged, but not as its new normal";
+                    self.pass_on(robot, normal, but)
+                }),
                 None => entered,
             };
             match taken {
@@ -215,15 +224,43 @@ impl Server {
         Ok(())
     }
 
-    /// Has the next tick of the worker take the power of a robot as its new normal.
-    fn pass_on(&self, robot: u32) -> Result<(), Refused> {
-        let sent = self.normals.as_ref().map_or(Ok(()), |worker| worker.try_send(robot));
+    /// Has the worker take what `by` states of a robot's battery.
+    fn state_battery(&self, robot: u32, statement: Statement, by: &str) -> Result<(), Refused> {
+        let refused = |reason, text: String| Err(Refused::new(reason, text));
+        if self.statements.is_none() {
+            let text = "this host has no worker that takes it: ask on the host that has one";
+            return refused(QueryRefusal::Kind, text.to_owned());
+        }
+        let platforms = &self.config.settings().platforms;
+        let platform = platforms.iter().find(|platform| platform.has(robot));
+        let Some(platform) = platform else {
+            let text = format!("robot {robot} is of no platform of the config: `joulebus watch`");
+            return refused(QueryRefusal::UnknownRobot, text);
+        };
+        if platform.battery.is_none() {
+            let text = format!(
+                "platform {} has no [battery]: add its capacity_wh, and start the worker again",
+                platform.name
+            );
+            return refused(QueryRefusal::Question, text);
+        }
+        self.pass_on(robot, statement, "keeps its battery as it was")?;
+        // As visible as what a pause has cost.
+        tracing::warn!("robot {robot}: {statement}, states {by}");
+        Ok(())
+    }
+
+    /// Has the next tick of the worker take what a person states of a robot. `but` says what is the
+    /// case if it does not.
+    fn pass_on(&self, robot: u32, statement: Statement, but: &str) -> Result<(), Refused> {
+        let sent = self.statements.as_ref();
+        let sent = sent.map_or(Ok(()), |worker| worker.try_send((robot, statement)));
         sent.map_err(|error| {
             let (reason, why) = match error {
                 TrySendError::Full(_) => (QueryRefusal::Busy, "too many wait. Ask again"),
                 TrySendError::Disconnected(_) => (QueryRefusal::Ending, "the worker ends"),
             };
-            let text = format!("robot {robot} is acknowledged, but not as its new normal: {why}");
+            let text = format!("robot {robot} {but}: {why}");
             Refused::new(reason, text)
         })
     }
@@ -271,7 +308,7 @@ impl Server {
         let is_ready = |job: &&(usize, &Job)| match job.1.state {
             State::Working(_) => true,
             State::Waiting(_) => is_current || job.1.is_impatient(now_ns, period_ns, has_frame),
-            State::Acknowledging(_) => false,
+            State::Acknowledging(_) | State::Stating(..) => false,
         };
         let ready: Vec<(usize, &Job)> =
             jobs.iter().enumerate().filter(|job| is_ready(&job)).collect();

@@ -8,8 +8,8 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_plan::{Question, Refused, Reply, acknowledgement};
-use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, fnv1a};
+use joulebus_plan::{Question, Refused, Reply, acknowledgement, statement};
+use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, Statement, fnv1a};
 
 /// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
 /// and needs no more memory than a question and an answer. Belongs to one thread.
@@ -125,8 +125,31 @@ impl PlanClient {
         new_normal: bool,
         timeout: Duration,
     ) -> Result<(), ClientError> {
-        let (mut header, values) =
-            acknowledgement::encode(robot, alarm, by, new_normal, self.fleet)?;
+        let encoded = acknowledgement::encode(robot, alarm, by, new_normal, self.fleet)?;
+        self.tell(encoded, timeout)
+    }
+
+    /// States a robot's battery in the name of the person `by`: measured, full or exchanged. The
+    /// worker's next tick takes it, and counts from there.
+    ///
+    /// # Errors
+    /// [`ClientError`]: among others, the robot's platform has no battery, or the name is none.
+    pub fn state_battery(
+        &mut self,
+        robot: u32,
+        statement: Statement,
+        by: &str,
+        timeout: Duration,
+    ) -> Result<(), ClientError> {
+        let encoded = statement::encode(robot, statement, by, self.fleet)?;
+        self.tell(encoded, timeout)
+    }
+
+    fn tell(
+        &mut self,
+        (mut header, values): (QueryHeader, Vec<f64>),
+        timeout: Duration,
+    ) -> Result<(), ClientError> {
         let asked = Asked::now(timeout);
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;

@@ -14,7 +14,7 @@ use joulebus_testkit_fleets::{self as world, PERIOD_NS};
 use joulebus_wire::{
     AnswerHeader, Budgets, Channel, Diagnostics, Forecast, ForecastHeader, Forecasts,
     MAX_QUERY_STEPS, Outlooks, PlanStates, QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample,
-    Samples, State, Ticks, answer_flag, fnv1a,
+    Samples, State, Statement, Ticks, answer_flag, fnv1a,
 };
 use proptest::prelude::*;
 
@@ -355,7 +355,7 @@ fn a_new_normal_that_the_journal_lacks_shows_as_the_alarm_that_it_ended() {
     assert!(report.is_clean(), "{report}");
     let row = messages.iter_mut().find_map(|message| {
         let rows = &mut message.frame_mut::<Ticks>()?.rows;
-        rows.pop_if(|taken| taken.new_normal_of() == Some(LOADED))
+        rows.pop_if(|taken| taken.statement() == Some((LOADED, Statement::NewNormal)))
     });
     assert!(row.is_some());
     let report = verify(entries(messages));

@@ -6,8 +6,8 @@ use joulebus_capture_verify::Verdict::{self, Different, Incomplete, NotCompared,
 use joulebus_testkit_fleets::PERIOD_NS;
 use joulebus_wire::{
     AcknowledgementHeader, Acknowledgements, Alarm, Budgets, Channel, Diagnostics, Forecasts,
-    Outlooks, PlanStates, QueryHeader, QueryKind, QueryRefusal, Row, Samples, State, TakenFrame,
-    Ticks, fnv1a, tick_flag,
+    Outlooks, PlanStates, QueryHeader, QueryKind, QueryRefusal, Row, Samples, State, Statement,
+    TakenFrame, Ticks, fnv1a, tick_flag,
 };
 
 use crate::differences::asked;
@@ -429,7 +429,11 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
     }),
     ("a new normal added", Different, |messages| {
         let start_ns = frame::<Ticks>(messages, TICK).header.start_ns;
-        frame::<Ticks>(messages, TICK).rows.push(TakenFrame::new_normal(2, start_ns));
+        frame::<Ticks>(messages, TICK).rows.push(TakenFrame::stated(
+            2,
+            Statement::NewNormal,
+            start_ns,
+        ));
     }),
     ("the time of a taken frame", Different, |messages| {
         frame::<Ticks>(messages, TICK).rows[0].taken_ns += 1;

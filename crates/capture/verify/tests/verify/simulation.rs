@@ -11,7 +11,7 @@ use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     BudgetHeader, Budgets, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts, OutlookHeader,
     Outlooks, PlanStateHeader, PlanStates, SCHEMA_VERSION, Sample, Samples, State, StateHeader,
-    TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
+    Statement, TakenFrame, TickHeader, Ticks, fnv1a, sample_flag, tick_flag,
 };
 
 pub(crate) const CAPACITY: u32 = 12;
@@ -158,8 +158,8 @@ impl Simulation {
             _ => None,
         };
         if let Some(robot) = normal {
-            self.fleet.take_as_normal(robot);
-            taken.push(TakenFrame::new_normal(robot, start_ns));
+            self.fleet.take_statement(robot, Statement::NewNormal, start_ns);
+            taken.push(TakenFrame::stated(robot, Statement::NewNormal, start_ns));
         }
         let missed = self.noise.next_u64().is_multiple_of(10);
         let intake = self.fleet.tick(start_ns, missed);

@@ -2,7 +2,7 @@
 
 use std::sync::atomic::Ordering;
 
-use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
+use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader, Statement, sample_flag};
 
 use crate::alarms::conditions::{AlarmInputs, judge};
 use crate::fleet::Fleet;
@@ -11,6 +11,9 @@ use crate::ingest::check;
 use crate::ingest::frame::FrameIntake;
 use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES};
+use crate::ledger::battery::{At, BatteryState, Known};
+use crate::ledger::departed::Account;
+use crate::ledger::energy::Ledger;
 
 impl Fleet {
     /// Takes a frame of samples, in the order in which they were sent. `now_ns` is the worker's
@@ -70,15 +73,59 @@ impl Fleet {
         }
     }
 
-    /// A person declares the power of a robot its new normal: alarms of its level end, and its
-    /// power is compared with that from now on. Does nothing if the robot is not in the fleet, or
-    /// its level is not judged.
-    pub fn take_as_normal(&mut self, robot: u32) {
-        if let Some(slot) = self.find(robot)
+    /// Takes what a person states of a robot, at the worker's monotonic time `now_ns`.
+    ///
+    /// With a [new normal](Statement::NewNormal) alarms of its level end, and its power is compared
+    /// with that from now on. That does nothing if the robot is not in the fleet, or its level is not
+    /// judged. The state of a battery is that of the account, also of a robot that is not in the
+    /// fleet: time before `now_ns` costs it nothing any more.
+    pub fn take_statement(&mut self, robot: u32, statement: Statement, now_ns: u64) {
+        let slot = self.find(robot);
+        if statement.is_of_battery() {
+            return self.state_battery(robot, slot, statement, now_ns);
+        }
+        if let Some(slot) = slot
             && let Some(levels) = self.columns.levels.get_mut(slot / LANES)
         {
             levels.accept(slot % LANES);
         }
+    }
+
+    fn state_battery(
+        &mut self,
+        robot: u32,
+        slot: Option<usize>,
+        statement: Statement,
+        now_ns: u64,
+    ) {
+        let platform =
+            self.platform_of(robot).map(|number| &self.tick.platforms[usize::from(number)]);
+        let Some(context) = platform else {
+            return;
+        };
+        let platform = &context.platform;
+        let Some(battery) = &platform.battery else {
+            return;
+        };
+        // What is silent beside a period will be unmetered, and lies before the statement.
+        let at = |ledger: &Ledger| {
+            let silent_ns = ledger.stamp_ns().map_or(0, |stamp_ns| now_ns.saturating_sub(stamp_ns));
+            At::new(ledger).silent_for(silent_ns.saturating_sub(platform.period_ns))
+        };
+        if let Some(slot) = slot {
+            let mut known = lanes::get(&self.columns.batteries, slot);
+            known.state(battery, at(&lanes::get(&self.columns.ledgers, slot)), statement);
+            return lanes::set(&mut self.columns.batteries, slot, known);
+        }
+        let is_new = self.departed.ledger(robot).is_none();
+        if is_new && !self.departed.has_room() {
+            return;
+        }
+        let account = self.departed.take(robot).unwrap_or(Account::new(robot));
+        let used = account.charged || (is_new && self.departed.is_lost(robot));
+        let mut known = BatteryState::joining(battery, account.battery, used, &account.ledger);
+        known.state(battery, at(&account.ledger), statement);
+        self.departed.keep(Account { battery: Known::Kept(known), ..account });
     }
 
     fn accept(

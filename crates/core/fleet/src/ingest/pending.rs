@@ -50,6 +50,14 @@ impl Pending {
         self.has(sample_flag::POWER)
     }
 
+    /// True if it commands to stand.
+    #[inline(always)]
+    pub(crate) fn rests(&self) -> bool {
+        self.has(sample_flag::V | sample_flag::OMEGA)
+            & (self.v_mps == 0.0)
+            & (self.omega_radps == 0.0)
+    }
+
     #[inline(always)]
     pub(crate) fn command(&self) -> Option<(f32, f32)> {
         let known = self.has(sample_flag::V | sample_flag::OMEGA);

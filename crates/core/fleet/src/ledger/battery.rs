@@ -8,11 +8,11 @@
 
 use joulebus_energy::EnergyLeft;
 use joulebus_settings::{Battery, ChargeReading, Platform};
-use joulebus_wire::{Budget, Sample, budget_flag, sample_flag};
+use joulebus_wire::{Budget, Sample, Statement, budget_flag, sample_flag};
 use serde::{Deserialize, Serialize};
 
 use crate::ingest::last_sample::LastLanes;
-use crate::layout::lanes::{Block as _, LANES, block};
+use crate::layout::lanes::{Block as _, LANES, block, put};
 use crate::layout::shift::Shift;
 use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
@@ -26,9 +26,13 @@ const FULL_SD: f64 = 0.01;
 /// Share, deviation, and room below and above of a battery that may be full or empty. Counting does
 /// not make such a deviation smaller. Only a measured, full or exchanged battery does.
 const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
-/// The charger or the battery reports that it is full. The battery was exchanged.
+/// The charger or the battery reports that it is full. The battery was exchanged. The robot is
+/// switched off.
 const FULL: u8 = 1;
 const SWAPPED: u8 = 2;
+const OFF: u8 = 4;
+/// Time constant of the power at rest, s.
+const IDLE_S: f32 = 60.0;
 
 /// An account of the ledger.
 #[derive(Debug, Clone, Copy)]
@@ -46,6 +50,12 @@ impl At {
             metered_ns: ledger.metered_ns,
             unmetered_ns: ledger.unmetered_ns,
         }
+    }
+
+    /// The same after a silence.
+    #[inline(always)]
+    pub(crate) const fn silent_for(self, silent_ns: u64) -> Self {
+        Self { unmetered_ns: self.unmetered_ns.saturating_add(silent_ns), ..self }
     }
 }
 
@@ -121,6 +131,18 @@ pub(crate) struct BatteryState {
     /// True if the newest sample reported a full battery.
     #[serde(deserialize_with = "added::read")]
     full: bool,
+    /// True if the newest sample said that the robot is switched off.
+    #[serde(deserialize_with = "added::read_0x11")]
+    pub off: bool,
+    /// Mean power at rest, W. NaN if unknown.
+    #[serde(deserialize_with = "added::read_0x11")]
+    pub idle_w: f32,
+    /// Unmetered time since the charge was last known, s, and by how much it has lowered the lower
+    /// bound at most, as a share. The gap that has not ended is not in them.
+    #[serde(deserialize_with = "added::read_0x11")]
+    pub pause_s: f32,
+    #[serde(deserialize_with = "added::read_0x11")]
+    pub pause: f32,
 }
 
 block! {
@@ -166,6 +188,14 @@ block! {
         pub reading_w: f32,
         #[serde(deserialize_with = "added::read")]
         full: bool,
+        #[serde(deserialize_with = "added::read_0x11")]
+        pub off: bool,
+        #[serde(deserialize_with = "added::read_0x11")]
+        pub idle_w: f32,
+        #[serde(deserialize_with = "added::read_0x11")]
+        pub pause_s: f32,
+        #[serde(deserialize_with = "added::read_0x11")]
+        pub pause: f32,
     }
 }
 
@@ -179,9 +209,23 @@ impl BatteryLanes {
         }
     }
 
-    /// Completes a state of the version before, whose robots have these last samples.
-    pub(crate) fn complete(&mut self, lasts: &LastLanes) {
-        (self.mean_w, self.reading_w) = (lasts.mean_power_w, lasts.reading_w);
+    /// Completes a state of a version before, whose robots have these last samples. `has_means`: it
+    /// has their means.
+    pub(crate) fn complete(&mut self, lasts: &LastLanes, has_means: bool) {
+        if !has_means {
+            (self.mean_w, self.reading_w) = (lasts.mean_power_w, lasts.reading_w);
+        }
+        self.idle_w = [f32::NAN; LANES];
+    }
+
+    /// Takes a reading at rest, which stands for `elapsed_s`, where the mask is set.
+    #[inline(always)]
+    pub(crate) fn rest(&mut self, lane: usize, mask: bool, power_w: f32, elapsed_s: f32) {
+        let idle_w = self.idle_w[lane];
+        let weight = elapsed_s / (IDLE_S + elapsed_s);
+        let mean_w = idle_w + weight * (power_w - idle_w);
+        let mean_w = if idle_w.is_nan() { power_w } else { mean_w };
+        put(&mut self.idle_w[lane], mask & !power_w.is_nan(), mean_w);
     }
 
     /// Keeps a sample's values of the battery of the robot in a lane until the tick. Writes only
@@ -198,7 +242,8 @@ impl BatteryLanes {
             f64::from(sample.soc).clamp(0.0, 1.0)
         };
         self.events[lane] = if sample.has(sample_flag::FULL) { FULL } else { 0 }
-            | if sample.has(sample_flag::SWAPPED) { SWAPPED } else { 0 };
+            | if sample.has(sample_flag::SWAPPED) { SWAPPED } else { 0 }
+            | if sample.has(sample_flag::OFF) { OFF } else { 0 };
     }
 }
 
@@ -239,6 +284,10 @@ impl BatteryState {
             mean_w: f32::NAN,
             reading_w: f32::NAN,
             full: false,
+            off: false,
+            idle_w: f32::NAN,
+            pause_s: 0.0,
+            pause: 0.0,
         }
     }
 
@@ -285,6 +334,10 @@ impl BatteryState {
             mean_w: _,
             reading_w: _,
             full: _,
+            off: _,
+            idle_w: _,
+            pause_s: _,
+            pause: _,
         } = self;
         for instant_ns in [measured_ns, jump_ns, interrupted_ns] {
             shift.instant(instant_ns);
@@ -325,7 +378,7 @@ impl BatteryState {
             (true, false) => stored(unmetered_s),
             (false, _) => -used(least_w),
         };
-        let lowest = self.soc - self.below + lo - used(counting.most_w.max(gap.mean_w));
+        let lowest = self.soc - self.below + lo - used(gap.most_w);
         let lowest = lowest.clamp(0.0, 1.0);
         let highest = (self.soc + self.above + hi + rise).clamp(0.0, 1.0);
         let highest = highest.max(lowest);
@@ -357,7 +410,21 @@ impl BatteryState {
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
         let readings_w = (self.reading_w, self.mean_w);
         let gap = GapPower::open(counting, readings_w, unmetered_ns, charging.unmetered);
-        self.after(counting, at, &gap, charging)
+        let off = GapPower::off(counting, self.idle_w);
+        self.after(counting, at, if self.off { &off } else { &gap }, charging)
+    }
+
+    /// Unmetered time since the charge was known, s, and by how much it lowers the lower bound at
+    /// most, as a share, with a gap that has not ended at `at`.
+    #[inline(always)]
+    pub(crate) fn paused(&self, counting: &Counting, at: At) -> (f32, f32) {
+        let unmetered_s = self.unmetered_s(at);
+        let most_w = match self.off {
+            true => GapPower::off(counting, self.idle_w).most_w,
+            false => counting.most_w,
+        };
+        let share = (most_w * unmetered_s * counting.per_joule) as f32;
+        (self.pause_s + unmetered_s as f32, (self.pause + share).min(1.0))
     }
 
     /// Unmetered time since the anchor, s.
@@ -382,7 +449,28 @@ impl BatteryState {
         (self.soc, self.sd) = (now.left, now.own_sd.min(1.0));
         (self.below, self.above, self.range_sd) = (now.below, now.above, now.range_sd);
         self.monitor = now.monitor.clamp(-1.0, 1.0);
+        let unmetered_s = self.unmetered_s(at);
+        self.pause_s += unmetered_s as f32;
+        self.pause = (self.pause + (gap.most_w * unmetered_s * counting.per_joule) as f32).min(1.0);
         self.anchor(at);
+    }
+
+    /// The charge is known at `at`, with this deviation.
+    fn know(&mut self, (soc, sd): (f64, f64), at: At) {
+        (self.soc, self.sd, self.below, self.above, self.range_sd) = (soc, sd, 0.0, 0.0, 0.0);
+        (self.monitor, self.covariance, self.jump) = (0.0, 0.0, f64::NAN);
+        (self.pause_s, self.pause) = (0.0, 0.0);
+        self.anchor(at);
+    }
+
+    /// Takes what a person states of the battery at `at`.
+    pub(crate) fn state(&mut self, battery: &Battery, at: At, statement: Statement) {
+        match statement {
+            Statement::NewNormal => {}
+            Statement::Charge(soc) => self.know((soc.into(), battery.sensor_sd), at),
+            Statement::Full => self.know((battery.on_full_soc, FULL_SD), at),
+            Statement::Exchanged => self.exchange(battery, at),
+        }
     }
 
     /// True if a sample has to be taken robot by robot. `unmetered_ns`: of the ledger after it.
@@ -394,7 +482,7 @@ impl BatteryState {
         // A sample on the charger without a reading leaves the gap open, as one away from it does.
         let goes_on = seen.charging & self.charging & seen.reading_w.is_nan();
         let charges = (seen.charging | self.charging | self.full) & !goes_on;
-        measured | charges | seen.broken | joins | ends_gap | (self.events != 0)
+        measured | charges | seen.broken | joins | ends_gap | self.off | (self.events != 0)
     }
 
     /// Takes the newest sample, after which the ledger is at `at`. `mean_w` is the mean power
@@ -430,6 +518,8 @@ impl BatteryState {
                 GapPower::between(&counting, readings_w, before_w, unmetered_ns, on_charger);
             let gap = short.filter(|_| is_one_state);
             let gap = gap.unwrap_or_else(|| GapPower::mean(&counting, before_w));
+            // Until this sample the robot was off.
+            let gap = if self.off { GapPower::off(&counting, self.idle_w) } else { gap };
             let before = At { unmetered_ns: self.unmetered_ns, ..at };
             let before = self.after(&counting, before, &gap, charging).left;
             self.settle(&counting, at, &gap, charging);
@@ -447,10 +537,11 @@ impl BatteryState {
         }
         // While it stays full, a sample tells no more than the one before.
         if is_full && (!self.full || is_interrupted || joins) {
-            (self.soc, self.sd, self.monitor) = (battery.on_full_soc, FULL_SD, 0.0);
-            (self.below, self.above, self.covariance) = (0.0, 0.0, 0.0);
-            self.range_sd = 0.0;
+            let jump = self.jump;
+            self.know((battery.on_full_soc, FULL_SD), at);
+            self.jump = jump;
         }
+        self.off = self.events & OFF != 0;
         (self.full, self.events) = (is_full, 0);
         if !self.input.is_nan() && self.is_due(seen.stamp_ns) {
             let measured = Measured::new(self.input, battery, self.input_by_voltage);
@@ -472,16 +563,24 @@ impl BatteryState {
             interrupted_ns: before.interrupted_ns,
             mean_w: before.mean_w,
             reading_w: before.reading_w,
+            idle_w: before.idle_w,
+            off: before.off,
             ..Self::new(battery)
         };
         self.anchor(at);
     }
 
     /// A battery that an earlier run wrote down.
-    fn restored(saved: &SavedBattery, mean_w: f32, battery: &Battery, ledger: &Ledger) -> Self {
+    fn restored(
+        (saved, mean_w, pause): (&SavedBattery, f32, &SavedPause),
+        battery: &Battery,
+        ledger: &Ledger,
+    ) -> Self {
         let at = At { unmetered_ns: saved.unmetered_ns, ..At::new(ledger) };
+        let SavedPause { off, idle_w, pause_s, pause } = *pause;
+        let idle_w = idle_w.filter(|watts| watts.is_finite()).unwrap_or(f32::NAN);
         let Some(estimate) = saved.estimate(battery.counting_sd) else {
-            return Self { mean_w, ..Self::unknown(battery, at) };
+            return Self { mean_w, off, idle_w, pause_s, pause, ..Self::unknown(battery, at) };
         };
         let mut restored = Self {
             soc: estimate.left,
@@ -496,6 +595,10 @@ impl BatteryState {
             charging: saved.charging,
             fused: saved.measured,
             mean_w,
+            off,
+            idle_w,
+            pause_s,
+            pause,
             ..Self::new(battery)
         };
         restored.anchor(at);
@@ -507,7 +610,9 @@ impl BatteryState {
     pub(crate) fn joining(battery: &Battery, known: Known, used: bool, ledger: &Ledger) -> Self {
         let mut joining = match known {
             Known::Kept(kept) => kept,
-            Known::Saved(saved, mean_w) => Self::restored(&saved, mean_w, battery, ledger),
+            Known::Saved(saved, mean_w, pause) => {
+                Self::restored((&saved, mean_w, &pause), battery, ledger)
+            }
             // Charged by an earlier version, which did not meter it, or its account was given up.
             Known::Nothing if used => Self::unknown(battery, At::new(ledger)),
             Known::Nothing => Self::new(battery),
@@ -551,6 +656,23 @@ pub struct SavedBattery {
     /// Mean power at the last sample, W. Apart from the others wherever they are stored.
     #[serde(skip)]
     mean_power_w: Option<f32>,
+    /// The same.
+    #[serde(skip)]
+    pause: SavedPause,
+}
+
+/// What a battery's state from an earlier run says of pauses.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedPause {
+    /// True if the robot has said that it is switched off.
+    off: bool,
+    /// Mean power at rest, W, if it is known.
+    idle_w: Option<f32>,
+    /// Unmetered time since the charge was known, s, and by how much it has lowered the lower
+    /// bound, as a share.
+    pause_s: f32,
+    pause: f32,
 }
 
 impl SavedBattery {
@@ -575,7 +697,33 @@ impl SavedBattery {
             charging: budget.charge_state() == joulebus_wire::ChargeState::Charging,
             measured: has(budget_flag::MEASURED),
             mean_power_w: Some(budget.mean_power_w).filter(|watts| watts.is_finite()),
+            pause: SavedPause {
+                off: has(budget_flag::OFF),
+                idle_w: Some(budget.idle_w).filter(|watts| watts.is_finite()),
+                pause_s: budget.pause_s,
+                pause: budget.pause,
+            },
         })
+    }
+
+    /// Time without readings since its charge was known, s, and by how much that may have lowered it,
+    /// as a share, at `now_ns` by the clock of the ledger. `None` if the platform has no battery.
+    pub fn paused(&self, platform: &Platform, ledger: &Ledger, now_ns: u64) -> Option<(f32, f32)> {
+        let battery = platform.battery.as_ref()?;
+        let state = BatteryState::restored((self, f32::NAN, &self.pause), battery, ledger);
+        let at = At::new(ledger).silent_for(now_ns.saturating_sub(ledger.stamp_ns()?));
+        Some(state.paused(&Counting::new(battery, platform), at))
+    }
+
+    /// What it says of pauses, which is stored apart: an older ledger lacks it.
+    pub const fn pause(&self) -> SavedPause {
+        self.pause
+    }
+
+    /// The same battery with other pauses.
+    #[must_use]
+    pub const fn with_pause(self, pause: SavedPause) -> Self {
+        Self { pause, ..self }
     }
 
     /// Times that another battery was noticed.
@@ -635,21 +783,31 @@ pub(crate) enum Known {
     Kept(BatteryState),
     /// Saved by an earlier run, with the mean power then, W, NaN if unknown. A gap since is valued by
     /// it.
-    Saved(SavedBattery, #[serde(deserialize_with = "added::read")] f32),
+    Saved(
+        SavedBattery,
+        #[serde(deserialize_with = "added::read")] f32,
+        #[serde(deserialize_with = "added::read_0x11")] SavedPause,
+    ),
 }
 
 impl Known {
-    /// Completes one of the version before: the mean power is unknown.
-    pub(crate) fn complete(&mut self) {
+    /// Completes one of a version before: the power at rest is unknown, and the mean power unless it
+    /// has that.
+    pub(crate) fn complete(&mut self, has_means: bool) {
         match self {
-            Self::Kept(kept) => (kept.mean_w, kept.reading_w) = (f32::NAN, f32::NAN),
-            Self::Saved(_, mean_w) => *mean_w = f32::NAN,
-            Self::Nothing => {}
+            Self::Kept(kept) => {
+                if !has_means {
+                    (kept.mean_w, kept.reading_w) = (f32::NAN, f32::NAN);
+                }
+                kept.idle_w = f32::NAN;
+            }
+            Self::Saved(_, mean_w, _) if !has_means => *mean_w = f32::NAN,
+            Self::Saved(..) | Self::Nothing => {}
         }
     }
 
     pub(crate) fn saved(battery: SavedBattery) -> Self {
         let mean_w = battery.mean_power_w.filter(|watts| watts.is_finite());
-        Self::Saved(battery, mean_w.unwrap_or(f32::NAN))
+        Self::Saved(battery, mean_w.unwrap_or(f32::NAN), battery.pause)
     }
 }

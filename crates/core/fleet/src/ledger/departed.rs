@@ -18,6 +18,11 @@ pub(crate) struct Account {
 }
 
 impl Account {
+    /// An account that has not begun.
+    pub(crate) fn new(robot: u32) -> Self {
+        Self { robot, charged: false, ledger: Ledger::default(), battery: Known::Nothing }
+    }
+
     /// Moves the instants to another clock.
     pub(crate) fn shift(&mut self, shift: Shift) {
         let Self { robot: _, charged: _, ledger, battery } = self;
@@ -76,7 +81,7 @@ impl Departed {
     /// is dropped. Returns true if none was.
     pub(crate) fn keep(&mut self, account: Account) -> bool {
         let known = self.place(account.robot);
-        let room = known.is_some() || self.len < self.robots.len();
+        let room = known.is_some() || self.has_room();
         if !room {
             let oldest = self.robots[self.oldest];
             self.take(oldest);
@@ -96,6 +101,11 @@ impl Departed {
             *battery = account.battery;
         }
         room
+    }
+
+    /// True if an account of another robot takes no other's place.
+    pub(crate) const fn has_room(&self) -> bool {
+        self.len < self.robots.len()
     }
 
     /// Removes a robot's account. The oldest one moves to its index.

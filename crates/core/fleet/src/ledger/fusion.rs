@@ -106,6 +106,7 @@ impl BatteryState {
         }
         let (gain, bias_gain) = (of_soc / innovation, of_bias / innovation);
         (self.below, self.above, self.range_sd, self.jump) = (0.0, 0.0, 0.0, f64::NAN);
+        (self.pause_s, self.pause) = (0.0, 0.0);
         self.soc = (soc + gain * off).clamp(0.0, 1.0);
         self.bias = (self.bias + bias_gain * off).clamp(-1.0, 1.0);
         self.update(var, (gain, bias_gain), measured.noise());
@@ -172,6 +173,7 @@ impl BatteryState {
         self.sd = (bias_var + measured.noise()).sqrt();
         (self.below, self.above, self.range_sd, self.jump) = (0.0, 0.0, 0.0, f64::NAN);
         (self.bias, self.bias_var, self.covariance) = (0.0, bias_var, -bias_var);
+        (self.pause_s, self.pause) = (0.0, 0.0);
         (self.monitor, self.bias_monitor) = (0.0, 0.0);
         self.fused = true;
     }

@@ -11,6 +11,8 @@ pub(crate) struct GapPower {
     /// Negative if it charges.
     pub mean_w: f64,
     pub sd_w: f64,
+    /// The greatest that it may have been: the lower bound falls by it.
+    pub most_w: f64,
     /// True if the battery was charged throughout, by readings that meter the charge.
     pub charges: bool,
 }
@@ -22,7 +24,19 @@ impl GapPower {
     pub(crate) fn mean(counting: &Counting, before_w: f32) -> Self {
         let known_w = f64::from(before_w).max(0.0);
         let mean_w = if before_w.is_nan() { 0.5 * counting.most_w } else { known_w };
-        Self { mean_w, sd_w: 0.5 * mean_w.min((counting.most_w - mean_w).max(0.0)), charges: false }
+        let sd_w = 0.5 * mean_w.min((counting.most_w - mean_w).max(0.0));
+        Self { mean_w, sd_w, most_w: counting.most_w.max(mean_w), charges: false }
+    }
+
+    /// Of a robot that has said that it is switched off: what it draws at rest, at most half more.
+    /// Where that is unknown, as any other gap.
+    #[inline(always)]
+    pub(crate) fn off(counting: &Counting, idle_w: f32) -> Self {
+        let unknown = Self::mean(counting, idle_w);
+        let mean_w = unknown.mean_w.min(counting.most_w);
+        let most_w = (1.5 * mean_w).min(counting.most_w);
+        let known = Self { mean_w, sd_w: 0.25 * mean_w, most_w, charges: false };
+        if idle_w.is_nan() { unknown } else { known }
     }
 
     /// Of a gap that has not ended: as a long one. While it may turn out to be short, the last reading
@@ -41,7 +55,8 @@ impl GapPower {
         let stored_w = counting.stored(last_w.into()).unwrap_or(f64::NAN);
         let charges = charging & may_be_short & !stored_w.is_nan();
         let mean_w = if charges { -stored_w } else { drawn.mean_w };
-        Self { mean_w, sd_w: if charges { 0.0 } else { drawn.sd_w }, charges }
+        let most_w = counting.most_w.max(mean_w);
+        Self { mean_w, sd_w: if charges { 0.0 } else { drawn.sd_w }, most_w, charges }
     }
 
     /// Of a short gap between two readings: the trapezoid. At least what was shown as drawn while it
@@ -63,13 +78,14 @@ impl GapPower {
         }
         if charging {
             let mean_w = -counting.stored(0.5 * (from_w + to_w))?;
-            return Some(Self { mean_w, sd_w: 0.0, charges: true });
+            let most_w = counting.most_w.max(mean_w);
+            return Some(Self { mean_w, sd_w: 0.0, most_w, charges: true });
         }
         let shown = unmetered_ns.saturating_sub(counting.period_ns) as f64 / unmetered_ns as f64;
         let shown_w = shown * from_w.min(before_w.into()).max(0.0);
         let mean_w = (0.5 * (from_w + to_w)).max(shown_w);
         let apart_w = (from_w - to_w).abs() * std::f64::consts::FRAC_1_SQRT_2;
         let sd_w = apart_w.min(0.5 * (counting.most_w - mean_w).max(0.0));
-        Some(Self { mean_w, sd_w, charges: false })
+        Some(Self { mean_w, sd_w, most_w: counting.most_w.max(mean_w), charges: false })
     }
 }

@@ -15,6 +15,8 @@ thread_local! {
 const READ: u8 = 0x0f;
 /// The version that gained those of [`read_0x10`], and the groups of [`read_errors`].
 const READ_0X10: u8 = 0x10;
+/// The version that gained those of [`read_0x11`].
+const READ_0X11: u8 = 0x11;
 
 /// Decodes a state of an older version.
 pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
@@ -40,6 +42,15 @@ where
     D: Deserializer<'de>,
 {
     if VERSION.get() < READ_0X10 { Ok(T::default()) } else { T::deserialize(from) }
+}
+
+/// Same as [`read`], for versions before 0x11.
+pub(crate) fn read_0x11<'de, T, D>(from: D) -> Result<T, D::Error>
+where
+    T: Deserialize<'de> + Default,
+    D: Deserializer<'de>,
+{
+    if VERSION.get() < READ_0X11 { Ok(T::default()) } else { T::deserialize(from) }
 }
 
 /// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown.

@@ -245,11 +245,14 @@ columns! {
 }
 
 impl Columns {
-    /// Completes columns of the version before, as far as the others say what the added fields were.
-    pub(super) fn complete(&mut self) {
-        self.energy.iter_mut().for_each(EnergyLanes::complete);
+    /// Completes columns of a version before, as far as the others say what the added fields were.
+    /// `is_recent`: only what the newest version added is missing.
+    pub(super) fn complete(&mut self, is_recent: bool) {
+        if !is_recent {
+            self.energy.iter_mut().for_each(EnergyLanes::complete);
+        }
         for (batteries, lasts) in self.batteries.iter_mut().zip(&self.lasts) {
-            batteries.complete(lasts);
+            batteries.complete(lasts, is_recent);
         }
     }
 }

@@ -9,19 +9,18 @@ use crate::ingest::codes::drop_counts;
 use crate::ingest::frame::TickIntake;
 use crate::ingest::refused::Refused;
 use crate::ingest::sources::Source;
-use crate::ledger::battery::Known;
 use crate::ledger::departed::{Account, LOST_WORDS};
-use crate::ledger::energy::Ledger;
 use crate::state::added;
 use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x10";
+const MAGIC: [u8; 8] = *b"jbstate\x11";
 /// The oldest version that is read too. It lacks the [`added`] fields.
 const OLDEST: u8 = 0x0e;
-/// The first version whose robots and batteries are complete.
+/// The first version whose robots are complete, and the first whose batteries are.
 const COMPLETE: u8 = 0x0f;
+const COMPLETE_BATTERIES: u8 = 0x11;
 const NEWEST: u8 = MAGIC[7];
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
@@ -110,15 +109,7 @@ impl FleetState {
             model_hash: 0,
             counters: Counters::default(),
             columns,
-            departed: with_capacity(
-                robots,
-                Account {
-                    robot: 0,
-                    charged: false,
-                    ledger: Ledger::default(),
-                    battery: Known::Nothing,
-                },
-            ),
+            departed: with_capacity(robots, Account::new(0)),
             lost: with_capacity(LOST_WORDS, 0),
             sources: with_capacity(settings.intake.max_sources.into(), Source::default()),
             refused: Refused::default(),
@@ -161,9 +152,11 @@ impl FleetState {
         let decoded: Result<(Self, &[u8]), _> =
             added::decode_version(version, || postcard::take_from_bytes(&bytes[MAGIC.len()..]));
         let decoded = decoded.map(|(mut state, rest)| {
-            if version < COMPLETE {
-                state.columns.complete();
-                state.departed.iter_mut().for_each(|account| account.battery.complete());
+            if version < COMPLETE_BATTERIES {
+                let is_recent = version >= COMPLETE;
+                state.columns.complete(is_recent);
+                let departed = state.departed.iter_mut();
+                departed.for_each(|account| account.battery.complete(is_recent));
             }
             (state, rest)
         });

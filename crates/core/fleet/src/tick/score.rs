@@ -37,6 +37,8 @@ struct Absorbed {
     residual_w: Lanes<f32>,
     previous_w: Lanes<f32>,
     mean_power_w: Lanes<f32>,
+    /// True if the robot was commanded to stand, off its charger.
+    rests: Lanes<bool>,
     alarms: AlarmInputLanes,
 }
 
@@ -59,6 +61,7 @@ impl Absorbed {
             residual_w: lasts.residual_w,
             previous_w: [f32::NAN; LANES],
             mean_power_w: lasts.mean_power_w,
+            rests: [false; LANES],
             alarms: AlarmInputLanes {
                 stamp_ns: pending.samples.stamp_ns,
                 measured_ns: lasts.measured_ns,
@@ -80,6 +83,7 @@ impl Absorbed {
             taken.broken[lane] = broken;
             taken.reading_w[lane] = if sample.read() { sample.power_w } else { f32::NAN };
             taken.previous_w[lane] = windows.previous_w(lane);
+            taken.rests[lane] = sample.rests() & !taken.alarms.charging[lane];
             pending.mark(lane, taken.mask[lane], PendingState::None);
         }
         taken
@@ -269,6 +273,8 @@ fn follow(
         let reading_w = absorbed.reading_w[lane];
         lanes::put(&mut batteries.mean_w[lane], mask[lane], absorbed.mean_power_w[lane]);
         lanes::put(&mut batteries.reading_w[lane], mask[lane] & !reading_w.is_nan(), reading_w);
+        let rests = mask[lane] & absorbed.rests[lane];
+        batteries.rest(lane, rests, reading_w, platform.period_ns as f32 * 1e-9);
     }
     let counting = Counting::new(battery, platform);
     for lane in 0..LANES {

@@ -2,7 +2,7 @@
 
 use joulebus_fleet::Fleet;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source};
-use joulebus_wire::{Alarm, AlarmSet, Sample};
+use joulebus_wire::{Alarm, AlarmSet, Sample, Statement};
 
 const ROBOT: u32 = 7;
 
@@ -62,7 +62,7 @@ fn a_load_that_is_the_new_normal_is_quiet_and_a_further_change_is_found_as_soon(
         let (found, after_s) = bench.draw(power_w).unwrap();
         assert!(found == alarm && after_s < 5.0, "{power_w} W: {found:?} after {after_s} s");
         assert_eq!(bench.raised(), Some(alarm), "it stays for the rest of the minute");
-        bench.fleet.take_as_normal(ROBOT);
+        bench.fleet.take_statement(ROBOT, Statement::NewNormal, 0);
         assert_eq!(bench.tick(power_w), None, "it ends in the next tick");
         assert_eq!(bench.draw(power_w), None, "{power_w} W");
     }
@@ -76,10 +76,10 @@ fn a_new_normal_of_a_robot_that_is_not_judged_changes_nothing() {
         fleet.state().encode_into(&mut bytes);
         bytes
     };
-    bench.fleet.take_as_normal(ROBOT);
+    bench.fleet.take_statement(ROBOT, Statement::NewNormal, 0);
     bench.tick(3.6);
     let before = state(&bench.fleet);
-    bench.fleet.take_as_normal(ROBOT + 1);
+    bench.fleet.take_statement(ROBOT + 1, Statement::NewNormal, 0);
     assert!(state(&bench.fleet) == before, "a robot that is not in the fleet");
     // Of a platform whose model states no errors.
     let mut fleet = world::fleet(1);
@@ -87,6 +87,6 @@ fn a_new_normal_of_a_robot_that_is_not_judged_changes_nothing() {
     let sample = Sample::new(201, 1, 60_000 * MS).command(0.1, 0.5).reading(3.6, 60_000 * MS);
     source.tick(&mut fleet, &[sample], 60_000 * MS);
     let before = state(&fleet);
-    fleet.take_as_normal(201);
+    fleet.take_statement(201, Statement::NewNormal, 0);
     assert!(state(&fleet) == before, "a robot without a level");
 }

@@ -12,6 +12,7 @@ mod left_out;
 mod levels;
 mod limits;
 mod oracle;
+mod pauses;
 mod recycling;
 mod remembered;
 mod shards;

@@ -4,10 +4,10 @@ use crate::world::{Rows, fleet};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{
     Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict,
-    acknowledgement, rank,
+    acknowledgement, rank, statement,
 };
 use joulebus_wire::{
-    Alarm, AnswerHeader, MAX_QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION,
+    Alarm, AnswerHeader, MAX_QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, Statement,
     plan_state_flag, query_flag,
 };
 use proptest::prelude::*;
@@ -122,6 +122,37 @@ fn only_an_alarm_of_the_own_level_is_acknowledged_as_the_new_normal() {
         header.flags |= query_flag::NEW_NORMAL;
         let refused = Question::decode(&header, &values, FLEET).unwrap_err();
         assert_eq!(refused.reason, QueryRefusal::Kind, "{question:?}");
+    }
+}
+
+#[test]
+fn a_statement_of_a_battery_travels_whole_or_is_refused_with_what_is_allowed() {
+    for stated in [Statement::Charge(0.8), Statement::Full, Statement::Exchanged] {
+        let (header, values) = statement::encode(7, stated, "Zoë", FLEET).unwrap();
+        let decode = |header, values: &[f64]| statement::decode(header, values, FLEET);
+        assert_eq!(decode(&header, &values), Ok((7, stated, "Zoë".to_owned())));
+        let question = Question::decode(&header, &values, FLEET).unwrap_err();
+        assert_eq!(question.reason, QueryRefusal::Kind);
+        let (mut wrong, mut flagged) = (values.clone(), header);
+        wrong[1] = 9.0;
+        assert_eq!(decode(&header, &wrong).unwrap_err().reason, QueryRefusal::Question);
+        flagged.flags = query_flag::NEW_NORMAL;
+        assert_eq!(decode(&flagged, &values).unwrap_err().reason, QueryRefusal::Kind);
+        let short = decode(&header, &values[..values.len() - 1]).unwrap_err();
+        assert_eq!(short.reason, QueryRefusal::Length);
+        assert_eq!(
+            statement::decode(&header, &values, FLEET + 1).unwrap_err().reason,
+            QueryRefusal::Fleet
+        );
+    }
+    for (stated, by) in [
+        (Statement::NewNormal, "ann"),
+        (Statement::Charge(1.5), "ann"),
+        (Statement::Charge(f32::NAN), "ann"),
+        (Statement::Full, ""),
+    ] {
+        let refused = statement::encode(7, stated, by, FLEET).unwrap_err();
+        assert!(refused.text.contains("allowed"), "{stated:?}: {refused:?}");
     }
 }
 

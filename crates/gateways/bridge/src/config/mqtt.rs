@@ -170,6 +170,8 @@ impl Check<'_> {
         };
         fields.charging = section.section("charging").and_then(|flag| self.flag(&flag));
         fields.full = section.section("full").and_then(|flag| self.flag(&flag));
+        fields.swapped = section.section("swapped").and_then(|flag| self.flag(&flag));
+        fields.off = section.section("off").and_then(|flag| self.flag(&flag));
         let has = |name| section.section(name).is_some();
         if fields.power_of_current && !(has("voltage") && has("current")) {
             let what = "needs `voltage` and `current`".to_owned();

@@ -116,6 +116,8 @@ pub(crate) struct Fields {
     pub(crate) full: Option<Flag>,
     /// Whether the robot is gone.
     pub(crate) ended: Option<Flag>,
+    pub(crate) swapped: Option<Flag>,
+    pub(crate) off: Option<Flag>,
     /// Position of the robot's name, unless the topic has it.
     pub(crate) robot: Option<ValuePath>,
     /// The standard of the documents, if they have one.
@@ -197,10 +199,11 @@ impl Fields {
         };
         said.charging = flag(&self.charging, "charging");
         said.full = flag(&self.full, "full");
+        let (swapped, off) = (flag(&self.swapped, "swapped"), flag(&self.off, "off"));
         let has_ended = flag(&self.ended, "ended") == Some(true);
         let mapped = said.map(|field, why| refused(why.into(), name(field)));
         let reports_charging = self.charging.is_some();
-        Observation { reports_charging, has_ended, ..Observation::of(&mapped) }
+        Observation { swapped, off, reports_charging, has_ended, ..Observation::of(&mapped) }
     }
 
     /// The numbers that the mapping names.
@@ -235,6 +238,11 @@ impl Fields {
         named.map(|(name, _, has)| (name, has)).collect()
     }
 
+    /// True if messages may tell nothing: those that say whether the robot is gone.
+    pub(crate) const fn may_be_empty(&self) -> bool {
+        self.off.is_some() || self.ended.is_some()
+    }
+
     /// The robot's name in the document: a text or an integer.
     pub(crate) fn robot(&self, document: &Value) -> Option<String> {
         match self.robot.as_ref()?.find(document)? {
@@ -244,11 +252,13 @@ impl Fields {
         }
     }
 
-    /// Fields of a vehicle's `connection` by VDA 5050: whether it is gone.
+    /// Fields of a vehicle's `connection` by VDA 5050: whether it is gone. Only `OFFLINE` is its own
+    /// word, that it is switched off. The broker writes the others in its place.
     pub(crate) fn vda5050_connection() -> Self {
-        let gone = ["OFFLINE", "CONNECTIONBROKEN", "CONNECTION_BROKEN"];
-        let is = gone.map(Value::from).to_vec();
+        let is = ["CONNECTIONBROKEN", "CONNECTION_BROKEN"].map(Value::from).to_vec();
+        let off = Flag { is: vec!["OFFLINE".into()], ..Flag::at("/connectionState") };
         Self {
+            off: Some(off),
             ended: Some(Flag { is, ..Flag::at("/connectionState") }),
             standard: Some(Standard::Vda5050),
             ..Self::default()

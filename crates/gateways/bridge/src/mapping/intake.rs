@@ -18,6 +18,10 @@
 //!   charging is on its charger while its power is negative at rest for seconds.
 //! - A current that nobody measures is unknown, and so is the power made of it: the number that a
 //!   format reserves, or one that never changes while the robot moves and the voltage changes.
+//! - A robot that says that it is switched off is in one more frame, which says so. Then it is left
+//!   out until its next message.
+//! - A battery is exchanged where a message says so and the one before did not, or where it is
+//!   missing though it was there.
 //! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
 //!   reports that.
 
@@ -76,6 +80,14 @@ struct Robot {
     has_reported: bool,
     first_ns: u64,
     full: bool,
+    /// When a message last said that the battery was exchanged, monotonic ns, whether it is missing,
+    /// and whether a frame has yet to say that it was exchanged.
+    swapped_ns: Option<u64>,
+    removed: bool,
+    has_swapped: bool,
+    /// A message has said that the robot is switched off, and whether a frame has.
+    off: bool,
+    sampled_off: bool,
     monitor: CurrentMonitor,
     /// The power is voltage times current.
     power_of_current: bool,
@@ -137,6 +149,10 @@ impl Intake {
         let Some(known) = self.robots.get_mut(&robot).filter(|_| !seen.is_empty()) else {
             return;
         };
+        if seen.removed == Some(true) {
+            // Nothing else is known of the robot by it, nor that it is there.
+            return known.note_exchange(seen, self.holds.silent_ns, at_ns);
+        }
         self.observations += 1;
         if seen.has_ended {
             // What it said last is no longer so.
@@ -167,6 +183,9 @@ impl Intake {
         known.charging = charging;
         known.says_charging |= seen.charging.is_some();
         known.full = seen.full.unwrap_or(known.full);
+        known.note_exchange(seen, self.holds.silent_ns, at_ns);
+        known.off = seen.off == Some(true);
+        known.sampled_off &= known.off;
         // A repeated reading is not a new measurement.
         if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
             set(&mut known.power, seen.power, at_ns);
@@ -183,6 +202,10 @@ impl Intake {
         if now_ns.saturating_sub(any_ns) > holds.silent_ns {
             return None;
         }
+        if known.off {
+            let is_new = !std::mem::replace(&mut known.sampled_off, true);
+            return is_new.then(|| RobotState::new(robot).off());
+        }
         let is_unreported =
             !known.has_reported && now_ns.saturating_sub(known.first_ns) > holds.silent_ns;
         let charging = known.charging.or(is_unreported.then_some(false));
@@ -194,6 +217,7 @@ impl Intake {
             (Some(true), false) => Charger::Charging,
             _ => Charger::Disconnected,
         };
+        state.swapped = std::mem::take(&mut known.has_swapped);
         let number = |timed: Option<Timed<f32>>| timed?.within(holds.reading_ns, now_ns);
         state.voltage_v = number(known.voltage_v);
         state.current_a = number(known.current_a);
@@ -270,12 +294,33 @@ impl Robot {
             has_reported: !reports_charging,
             first_ns: u64::MAX,
             full: false,
+            swapped_ns: None,
+            // One that never was there is only not reported.
+            removed: true,
+            has_swapped: false,
+            off: false,
+            sampled_off: false,
             monitor: CurrentMonitor::new(),
             power_of_current: false,
             says_charging: false,
             watch: ChargerWatch::new(),
             on_charger: false,
         }
+    }
+
+    /// Notes whether the battery was exchanged.
+    fn note_exchange(&mut self, seen: &Observation, holds_ns: u64, at_ns: u64) {
+        let said = |before_ns: u64| at_ns.saturating_sub(before_ns) <= holds_ns;
+        match seen.swapped {
+            Some(true) => {
+                self.has_swapped |= !self.swapped_ns.is_some_and(said);
+                self.swapped_ns = Some(at_ns);
+            }
+            Some(false) => self.swapped_ns = None,
+            None => {}
+        }
+        self.has_swapped |= seen.removed == Some(true) && !self.removed;
+        self.removed = seen.removed.unwrap_or(self.removed);
     }
 
     /// The observation without a current that is not measured, and without the power made of it.
@@ -416,6 +461,49 @@ mod tests {
             let state = intake.sample(7, 61).unwrap();
             assert_eq!((state.v_mps, state.omega_radps), (after, after));
             assert_eq!(state.power_w, Some(3.0), "its reading is not affected");
+        }
+    }
+
+    #[test]
+    fn a_robot_that_is_switched_off_says_so_in_one_frame_and_its_next_message_ends_that() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let off = |off| Observation { off: Some(off), ..Observation::default() };
+        intake.take(7, &power(3.0, PowerOf::Load), 10);
+        assert!(!intake.sample(7, 20).unwrap().off);
+        // A broken connection is not its word.
+        intake.take(7, &off(false), 25);
+        assert_eq!(intake.sample(7, 28).unwrap().power_w, Some(3.0));
+        for at_ns in [30, 40] {
+            intake.take(7, &off(true), at_ns);
+        }
+        assert_eq!(intake.sample(7, 45), Some(RobotState::new(7).off()));
+        assert_eq!((intake.sample(7, 50), intake.sample(7, 60)), (None, None));
+        intake.take(7, &power(3.0, PowerOf::Load), 70);
+        let back = intake.sample(7, 75).unwrap();
+        assert_eq!((back.off, back.power_w), (false, Some(3.0)));
+    }
+
+    #[test]
+    fn an_exchange_is_told_once_by_its_flag_or_by_a_battery_that_was_removed() {
+        let mut intake = intake(HOLDS, ChargeReading::Load);
+        let swapped = |swapped| Observation { swapped: Some(swapped), ..Observation::default() };
+        let removed = |removed| Observation { removed: Some(removed), ..Observation::default() };
+        for (seen, at_ns, told) in [
+            (power(3.0, PowerOf::Load), 10, false),
+            // Drivers that never say that there is one.
+            (removed(true), 20, false),
+            (swapped(true), 30, true),
+            (swapped(true), 40, false),
+            (swapped(false), 50, false),
+            (swapped(true), 60, true),
+            (removed(false), 70, false),
+            (removed(true), 80, true),
+            (removed(true), 90, false),
+            (removed(false), 100, false),
+        ] {
+            intake.take(7, &seen, at_ns);
+            assert_eq!(intake.sample(7, at_ns + 1).unwrap().swapped, told, "at {at_ns}");
+            assert!(!intake.sample(7, at_ns + 2).unwrap().swapped, "at {at_ns}");
         }
     }
 

@@ -36,6 +36,12 @@ pub(crate) struct Observation {
     pub(crate) charging: Option<bool>,
     /// True if the charger reports a full battery.
     pub(crate) full: Option<bool>,
+    /// True if the battery was exchanged.
+    pub(crate) swapped: Option<bool>,
+    /// True if there is no battery in the robot: one that comes back is another.
+    pub(crate) removed: Option<bool>,
+    /// True if the robot says that it is switched off. No other value tells anything.
+    pub(crate) off: Option<bool>,
     /// Messages of its kind report whether the robot charges.
     pub(crate) reports_charging: bool,
     /// The message is known to repeat the previous measurement.
@@ -78,6 +84,9 @@ impl Observation {
             soc,
             charging,
             full,
+            swapped,
+            removed,
+            off,
             reports_charging: _,
             repeats: _,
             has_ended,
@@ -86,7 +95,8 @@ impl Observation {
         numbers.iter().all(|number| number.is_none())
             && power.is_none()
             && charging.is_none()
-            && full.is_none()
+            && [full, swapped, removed].iter().all(|flag| flag.is_none())
+            && *off != Some(true)
             && !has_ended
     }
 }

@@ -304,7 +304,7 @@ impl Reading<'_> {
         let came = route.fields.came(&seen);
         self.account.came(self.route, &robot, &came);
         if seen.is_empty() {
-            if route.fields.ended.is_none() {
+            if !route.fields.may_be_empty() {
                 self.count(Reason::Nothing, &robot);
             }
             return None;
@@ -545,7 +545,9 @@ mod tests {
                 retained: topic == "connection",
                 unix_s: arrived_s + age_s,
             };
-            reader.read(message, &mut account, |_, seen| ended = Some(seen.has_ended));
+            reader.read(message, &mut account, |_, seen| {
+                ended = Some(seen.has_ended || seen.off == Some(true));
+            });
             let records = account.records();
             let told: Vec<&str> = records.iter().map(|record| record.reason).collect();
             assert_eq!((ended, told.first().copied()), (expected, reason), "{document} {age_s}");

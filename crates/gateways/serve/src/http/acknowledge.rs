@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::error::ApiError;
 
 /// Timeout of an answer of the worker.
-const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+pub(super) const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// An acknowledgement as JSON, in both directions.
 #[derive(Debug, Deserialize, Serialize)]
@@ -33,7 +33,6 @@ impl Acknowledge {
     /// # Errors
     /// The alarm is not raised, is none of a robot, or no worker takes it.
     pub(super) fn ask(self, config: &Config) -> Result<Self, ApiError> {
-        let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
         let mut all = Alarm::ALL.into_iter();
         let Some(alarm) = all.find(|alarm| alarm.name() == self.alarm) else {
             // WorkerGone and WorkerStale: no worker is there that could take it.
@@ -44,17 +43,23 @@ impl Acknowledge {
         let mut client = client.map_err(|error| ApiError::busy(error.to_string()))?;
         let taken =
             client.acknowledge(self.robot, alarm, &self.by, self.new_normal, ANSWER_TIMEOUT);
-        taken.map(|()| self).map_err(|error| match error {
-            ClientError::Refused(refused) => match refused.reason {
-                // Of the latter kind is a new normal on a host without a worker: asking again does
-                // not help.
-                QueryRefusal::NotRaised | QueryRefusal::Kind => {
-                    ApiError::new(StatusCode::CONFLICT, refused.text)
-                }
-                QueryRefusal::Question => wrong(refused.text),
-                _ => ApiError::busy(refused.text),
-            },
-            error => ApiError::busy(error.to_string()),
-        })
+        taken.map(|()| self).map_err(refused)
+    }
+}
+
+/// A person's statement that the worker has not taken.
+pub(super) fn refused(error: ClientError) -> ApiError {
+    match error {
+        ClientError::Refused(refused) => match refused.reason {
+            // Of the latter kind is one on a host without a worker: asking again does not help.
+            QueryRefusal::NotRaised | QueryRefusal::Kind => {
+                ApiError::new(StatusCode::CONFLICT, refused.text)
+            }
+            QueryRefusal::Question | QueryRefusal::UnknownRobot => {
+                ApiError::new(StatusCode::BAD_REQUEST, refused.text)
+            }
+            _ => ApiError::busy(refused.text),
+        },
+        error => ApiError::busy(error.to_string()),
     }
 }

@@ -22,6 +22,7 @@ use tokio::sync::{Semaphore, oneshot, watch};
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
 
 use super::acknowledge::Acknowledge;
+use super::battery::StateBattery;
 use super::connections::{Connection, Receiving};
 use super::entry::Object;
 use super::error::{ApiError, json, typed};
@@ -59,7 +60,7 @@ pub(super) struct App {
     pub(super) messages: AtomicU64,
     streams: Arc<StreamPlaces>,
     questions: Questions,
-    /// One acknowledgement is passed on at a time.
+    /// One statement of a person is passed on at a time.
     acknowledges: Arc<Semaphore>,
 }
 
@@ -111,6 +112,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/alarms", get(alarms))
         .route("/api/v1/alarms/acknowledge", post(acknowledge))
         .route("/api/v1/alarms/cards", get(cards))
+        .route("/api/v1/battery", post(battery))
         .route("/api/v1/stream", get(stream))
         .route("/api/v1/what_if", post(what_if))
         .fallback(get(file))
@@ -175,14 +177,26 @@ async fn alarms(State(app): State<Arc<App>>) -> Response {
 
 async fn acknowledge(State(app): State<Arc<App>>, request: Request) -> Answer {
     let asked: Acknowledge = body(request).await?;
+    pass_on(&app, move |config| asked.ask(config)).await
+}
+
+async fn battery(State(app): State<Arc<App>>, request: Request) -> Answer {
+    let asked: StateBattery = body(request).await?;
+    pass_on(&app, move |config| asked.ask(config)).await
+}
+
+/// Has the worker take a statement of a person.
+async fn pass_on<T: Serialize + Send + 'static>(
+    app: &App,
+    ask: impl FnOnce(&Config) -> Result<T, ApiError> + Send + 'static,
+) -> Answer {
     let turn = Arc::clone(&app.acknowledges).try_acquire_owned();
-    let turn =
-        turn.map_err(|_| ApiError::busy("another acknowledgement is passed on: try again"))?;
+    let turn = turn.map_err(|_| ApiError::busy("another statement is passed on: try again"))?;
     let config = app.config.clone();
     // Ports of the fleet belong to one thread.
     let asked = tokio::task::spawn_blocking(move || {
         let _turn = turn;
-        asked.ask(&config)
+        ask(&config)
     });
     let defect = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "a defect");
     Ok(json(&asked.await.map_err(defect)??))

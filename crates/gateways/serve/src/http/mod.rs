@@ -9,6 +9,7 @@ mod access;
 mod acknowledge;
 mod alarms;
 mod api;
+mod battery;
 mod connections;
 mod entry;
 mod error;

@@ -7,7 +7,9 @@ use joulebus_config::{Config, builtin_model};
 use joulebus_fleet::Fleet;
 use joulebus_plant::{Fault, Plant, SimReading};
 use joulebus_predictor::{Model, Network};
-use joulebus_wire::{Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
+use joulebus_wire::{
+    Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader, Statement, sample_flag,
+};
 
 /// Start of the plant's time, because 0 means no stamp.
 const BASE_NS: u64 = 1_000_000_000;
@@ -85,7 +87,7 @@ fn play_as(
                 let at_s = (now_ns - BASE_NS) as f64 * 1e-9;
                 raised.first_s.entry((robot, alarm.name())).or_insert(at_s);
                 if accepts && alarm.is_of_level() {
-                    fleet.take_as_normal(robot);
+                    fleet.take_statement(robot, Statement::NewNormal, 0);
                 }
                 if planted.iter().all(|(faulty, ..)| *faulty != robot as usize) {
                     raised.false_alarms += 1;

@@ -191,5 +191,6 @@ fn state(of: &joulebus_robot_state) -> RobotState {
         Charger::Disconnected
     };
     state.swapped = has(sample_flag::SWAPPED);
+    state.off = has(sample_flag::OFF);
     state
 }

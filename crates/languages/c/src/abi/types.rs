@@ -68,7 +68,7 @@ pub struct joulebus_robot_state {
     /// Id of the robot, unique in the fleet.
     pub robot: u32,
     /// JOULEBUS_SAMPLE bits: which of the fields below are known, and HELD, CHARGING, FULL (which
-    /// implies CHARGING) and SWAPPED. Others are refused.
+    /// implies CHARGING), SWAPPED and OFF. Others are refused.
     pub flags: u32,
     /// When the power was measured, monotonic ns. 0: when the frame is published, or, for a held
     /// reading, when the repeated reading was measured.

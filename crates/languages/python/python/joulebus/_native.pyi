@@ -90,6 +90,15 @@ class PlannerPorts:
 def acknowledge(
     joined: tuple[_Path, str], robot: int, alarm: str, by: str, new_normal: bool, timeout_s: float
 ) -> None: ...
+def state_battery(
+    joined: tuple[_Path, str],
+    robot: int,
+    charge: float | None,
+    full: bool,
+    exchanged: bool,
+    by: str,
+    timeout_s: float,
+) -> None: ...
 
 class PublisherPort:
     def __new__(cls, config: _Path, name: str) -> PublisherPort: ...

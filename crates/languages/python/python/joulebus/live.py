@@ -381,6 +381,24 @@ class Planner(_Connection):
         self._ports.check()
         _native.acknowledge(self._joined, robot, alarm, by, new_normal, timeout)
 
+    def state_battery(
+        self,
+        robot: int,
+        by: str,
+        *,
+        charge: float | None = None,
+        full: bool = False,
+        exchanged: bool = False,
+        timeout: float = 5.0,
+    ) -> None:
+        """States a robot's battery in the name of the person `by`: its measured `charge` (0 to 1), that
+        it is `full`, or that it was `exchanged`. The worker's next tick takes it.
+
+        ``RuntimeError`` if the robot has no battery, or no worker takes it within `timeout` seconds.
+        """
+        self._ports.check()
+        _native.state_battery(self._joined, robot, charge, full, exchanged, by, timeout)
+
     def close(self) -> None:
         """Leaves the fleet. Further use is refused. Closing again does nothing."""
         super().close()
@@ -422,7 +440,7 @@ class Publisher(_Connection):
         ids: ids of robots, each once. Columns have one element for each robot, or one number for all:
         v (m/s) and omega (rad/s) as commanded, power (W), voltage (V), current (A, positive while discharging),
         soc (0 to 1), return_j (energy needed to return, J), held (the reading repeats the one before), charging, full
-        (which implies charging) and swapped are truth values. A NaN, or no column, means unknown. `intended_ns`: when
+        (which implies charging), swapped and off (switched off until the next frame) are truth values. A NaN, or no column, means unknown. `intended_ns`: when
         the frame was due (`time.monotonic_ns`).
         """
         readers, _, _ = self._ports.publish(ids, columns, intended_ns)

@@ -22,6 +22,8 @@ pub(crate) struct Budgets<'a> {
     sensor_bias: Lanes<f32>,
     sensor_bias_sd: Lanes<f32>,
     sensor_covariance: Lanes<f32>,
+    pause_s: Lanes<f32>,
+    pause: Lanes<f32>,
 }
 
 impl<'a> Budgets<'a> {
@@ -35,8 +37,10 @@ impl<'a> Budgets<'a> {
             sensor_bias: UNKNOWN,
             sensor_bias_sd: UNKNOWN,
             sensor_covariance: UNKNOWN,
+            pause_s: [0.0; LANES],
+            pause: [0.0; LANES],
         };
-        fill_remaining(tick, &block, &mut budgets.remaining);
+        fill_remaining(tick, &mut budgets);
         for lane in 0..LANES {
             budgets.mean_power_w[lane] = canonical(block.lasts.mean_power_w[lane]);
         }
@@ -77,6 +81,7 @@ impl<'a> Budgets<'a> {
                 | flag(!remaining.soc.is_nan(), budget_flag::CHARGE)
                 | flag(!remaining.time_to_empty_s.is_nan(), budget_flag::TIME_TO_EMPTY)
                 | flag(battery.is_some_and(|battery| battery.fused), budget_flag::MEASURED)
+                | flag(battery.is_some_and(|battery| battery.off), budget_flag::OFF)
                 | flag(
                     battery.is_some_and(|battery| battery.is_contradicted()),
                     budget_flag::CONTRADICTED,
@@ -105,13 +110,18 @@ impl<'a> Budgets<'a> {
             sensor_bias: self.sensor_bias[lane],
             sensor_bias_sd: self.sensor_bias_sd[lane],
             sensor_covariance: self.sensor_covariance[lane],
+            idle_w: battery.map_or(f32::NAN, |battery| canonical(battery.idle_w)),
+            pause_s: self.pause_s[lane],
+            pause: self.pause[lane],
+            reserved: 0.0,
         }
     }
 }
 
 /// Energy left of the robots of a block.
 #[inline(always)]
-fn fill_remaining(tick: &TickContext, block: &BlockRef<'_>, left: &mut RemainingLanes) {
+fn fill_remaining(tick: &TickContext, budgets: &mut Budgets<'_>) {
+    let block = budgets.block;
     let Some(batteries) = block.batteries else {
         return;
     };
@@ -131,7 +141,7 @@ fn fill_remaining(tick: &TickContext, block: &BlockRef<'_>, left: &mut Remaining
             mask[lane] &= usize::from(platform[lane]) == number;
         }
         if lanes::any(&mask) {
-            fill(left, (&battery, context), (block, batteries), &mask, &silent_ns);
+            fill(budgets, (&battery, context), batteries, &mask, &silent_ns);
         }
     }
 }
@@ -146,8 +156,7 @@ pub(crate) fn estimate(
     lane: usize,
     overdue_ns: u64,
 ) -> EnergyLeft {
-    let mut at = At::new(&block.ledgers.get(lane));
-    at.unmetered_ns = at.unmetered_ns.saturating_add(overdue_ns);
+    let at = At::new(&block.ledgers.get(lane)).silent_for(overdue_ns);
     // On a charger the anchor is at the last sample with a reading. The time since then counts as
     // silence.
     let charging = Charging { metered: false, unmetered: robot.charging };
@@ -157,19 +166,19 @@ pub(crate) fn estimate(
 /// Computes the robots of one platform.
 #[inline(always)]
 fn fill(
-    left: &mut RemainingLanes,
+    budgets: &mut Budgets<'_>,
     (battery, context): (&Battery, &PlatformContext),
-    (block, batteries): (&BlockRef<'_>, &BatteryLanes),
+    batteries: &BatteryLanes,
     mask: &Lanes<bool>,
     silent_ns: &Lanes<u64>,
 ) {
-    let platform = &context.platform;
+    let (platform, block) = (&context.platform, budgets.block);
     let counting = Counting::new(battery, platform);
     let mean_w = &block.lasts.mean_power_w;
     for lane in 0..LANES {
         let robot = batteries.get(lane);
         let overdue_ns = silent_ns[lane].saturating_sub(platform.period_ns);
-        let estimate = estimate(block, &robot, &counting, lane, overdue_ns);
+        let estimate = estimate(&block, &robot, &counting, lane, overdue_ns);
         let remaining = match &context.lasting {
             Some(lasting) => {
                 let (longest, factors) = block.energy.longest_level(lane);
@@ -183,6 +192,10 @@ fn fill(
                 Remaining::new(battery, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
             }
         };
-        left.set(lane, mask[lane], remaining);
+        budgets.remaining.set(lane, mask[lane], remaining);
+        let at = At::new(&block.ledgers.get(lane)).silent_for(overdue_ns);
+        let (pause_s, pause) = robot.paused(&counting, at);
+        lanes::put(&mut budgets.pause_s[lane], mask[lane], pause_s);
+        lanes::put(&mut budgets.pause[lane], mask[lane], pause);
     }
 }

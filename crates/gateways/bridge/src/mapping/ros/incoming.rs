@@ -112,8 +112,11 @@ impl RosRoute {
         if self.kind == RosType::BatteryState && self.battery.power_of.is_some() {
             account.came(&self.name, robot, &[("power", seen.power.is_some())]);
         }
-        if seen.is_empty() {
+        let is_absent = seen.removed == Some(true);
+        if seen.is_empty() || is_absent {
             account.count(&self.name, Reason::Nothing, robot);
+        }
+        if seen.is_empty() {
             return None;
         }
         Some((seen, header.and_then(|header| header.stamp.unix_ns())))
@@ -154,7 +157,9 @@ impl BatteryFields {
             };
             refused(why.into(), name);
         });
-        Observation::of(&mapped)
+        // Many drivers leave it false, and a battery that is not there has no voltage.
+        let removed = Some(!state.present && !(state.voltage > 0.0));
+        Observation { removed, ..Observation::of(&mapped) }
     }
 }
 
@@ -336,7 +341,8 @@ mod tests {
         assert_eq!(read_battery(&route, &unsaid), read_battery(&route, &battery()));
         let absent = BatteryState { voltage: 0.0, ..unsaid };
         let (seen, refused) = read_battery(&route, &absent);
-        assert_eq!((seen, refused[0].0), (None, "nothing_mapped"));
+        let removed = Observation { removed: Some(true), ..Observation::default() };
+        assert_eq!((seen, refused[0].0), (Some(removed), "nothing_mapped"));
     }
 
     #[test]

@@ -87,9 +87,12 @@ pub(crate) fn what_if(address: &str, question: &str) -> Response {
 
 /// The answer to an acknowledgement.
 pub(crate) fn acknowledge(address: &str, body: &str, header: &str) -> Response {
-    let path = "/api/v1/alarms/acknowledge";
+    post(address, "/api/v1/alarms/acknowledge", body, header)
+}
+
+pub(crate) fn post(address: &str, path: &str, body: &str, header: &str) -> Response {
     let head = format!("POST {path} HTTP/1.1\r\nHost: {address}\r\n{header}");
-    answered("an acknowledgement", || send(address, &head, body.as_bytes()))
+    answered(path, || send(address, &head, body.as_bytes()))
 }
 
 /// The first response that is not 503, which a busy server answers.

@@ -13,7 +13,7 @@ use std::os::unix::fs::PermissionsExt as _;
 use std::path::PathBuf;
 use std::process::Command;
 
-use client::{Events, acknowledge, get, get_json, send, what_if};
+use client::{Events, acknowledge, get, get_json, post, send, what_if};
 use fleet::Fleet;
 use joulebus_connect::findings::FindingsFile;
 use joulebus_testkit::{
@@ -194,6 +194,36 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
     becomes("its end", None);
     source.end();
     becomes("its return", Some(Value::Null));
+}
+
+#[test]
+fn a_battery_is_stated_by_whoever_may_ask() {
+    const JSON: &str = "Content-Type: application/json";
+    let fleet = Fleet::new();
+    let _worker = fleet.worker();
+    let (_server, address) = fleet.serve(&[]);
+    let mut source = fleet.joulebus("publish sim --robots 3");
+    eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 3);
+    let state = |body: &Value| post(&address, "/api/v1/battery", &body.to_string(), JSON);
+    for (body, status, reason) in [
+        (json!({"robot": 1, "by": "ann"}), 400, "state one of"),
+        (json!({"robot": 1, "by": "ann", "full": true, "charge": 0.5}), 400, "state one of"),
+        (json!({"robot": 1, "by": "ann", "charge": 1.5}), 400, "allowed"),
+        (json!({"robot": 1, "by": "", "full": true}), 400, "is no name"),
+        (json!({"robot": 77_777, "by": "ann", "full": true}), 400, "of no platform"),
+    ] {
+        let refused = state(&body);
+        let text = refused.text();
+        assert!(refused.status == status && text.contains(reason), "{body}: {text}");
+    }
+    let taken = state(&json!({"robot": 1, "by": "ann", "charge": 0.5}));
+    assert_eq!(taken.text(), r#"{"robot":1,"by":"ann","charge":0.5}"#);
+    eventually("its charge", || {
+        let robot = get_json(&address, "/api/v1/robots/1");
+        let (soc, note) = (robot["soc"].as_f64().unwrap(), &robot["battery_note"]);
+        robot["off"] == false && note.is_null() && (soc - 0.5).abs() < 0.01
+    });
+    source.end();
 }
 
 /// A bridge writes what it finds beside the fleet's shared memory.

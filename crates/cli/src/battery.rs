@@ -1,0 +1,201 @@
+//! `joulebus battery`: what is known of the robots' batteries, and what a person states of one.
+
+use std::cell::RefCell;
+use std::fmt;
+use std::time::Duration;
+
+use joulebus_board::{Board, Reading};
+use joulebus_bus::{NoWorker, clock};
+use joulebus_config::Config;
+use joulebus_planner::PlanClient;
+use joulebus_program::config_file::ConfigFile;
+use joulebus_program::exit::Outcome;
+use joulebus_program::output::{Output, log_line};
+use joulebus_wire::{Budget, ChargeState, Statement, budget_flag};
+use serde::Serialize;
+
+use crate::alarms::person;
+use crate::ask::refused;
+
+/// Timeout of an answer of the worker.
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
+/// Timeout for a worker's budgets, ns.
+const PATIENCE_NS: u64 = 2_500_000_000;
+
+/// Show what is known of the robots' batteries, or state that one is full, exchanged or measured
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:\n  \
+    joulebus battery                           all robots\n  \
+    joulebus battery 7 --full                  its charger or a person says so\n  \
+    joulebus battery 7 --charge .8 --by ann    a display or a meter says 80 %\n  \
+    joulebus battery 7 --exchanged             another battery, charged like the first\n\n\
+    Time without readings widens the bounds by all that the robot could have drawn, and after a \
+    night nothing is known. A statement ends that. The worker's next tick takes it and counts from \
+    there. Its log and a capture name who stated it, and a replay computes the same. \
+    It is as good as the config says: `sensor_sd` for --charge, 1 % for --full, `initial_soc_lo` \
+    for --exchanged. A robot that sends state_of_charge needs none.\n\
+    Exit code 1: no worker, or it did not take the statement.")]
+pub(crate) struct Args {
+    #[command(flatten)]
+    config: ConfigFile,
+    /// Only this robot
+    #[arg(value_name = "ROBOT")]
+    robot: Option<u32>,
+    /// Its battery is full
+    #[arg(long, group = "statement", requires = "robot")]
+    full: bool,
+    /// Its battery was measured: state of charge, 0 to 1
+    #[arg(long, group = "statement", requires = "robot", value_name = "SHARE", value_parser = share)]
+    charge: Option<f32>,
+    /// Its battery was exchanged
+    #[arg(long, group = "statement", requires = "robot")]
+    exchanged: bool,
+    /// Who states it [default: the user's name, from the environment]
+    #[arg(long, value_name = "NAME", requires = "statement")]
+    by: Option<String>,
+}
+
+fn share(text: &str) -> Result<f32, String> {
+    let found = text.parse().ok().filter(|share| (0.0..=1.0).contains(share));
+    found.ok_or_else(|| format!("{text} is no state of charge, allowed are 0 to 1"))
+}
+
+pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
+    let statement = match (args.full, args.charge, args.exchanged) {
+        (true, ..) => Some(Statement::Full),
+        (_, Some(soc), _) => Some(Statement::Charge(soc)),
+        (.., true) => Some(Statement::Exchanged),
+        _ => None,
+    };
+    let config = args.config.load()?;
+    let (Some(robot), Some(statement)) = (args.robot, statement) else {
+        return list(&config, args.robot, output);
+    };
+    let by = person(args.by.as_deref())?;
+    let mut client = PlanClient::with_config(&config, "battery")?;
+    let taken = client.state_battery(robot, statement, &by, ANSWER_TIMEOUT);
+    taken.map_err(|error| refused(error, &config))?;
+    let fleet = config.fleet().to_owned();
+    output.report(&Stated { fleet, robot, statement: statement.to_string(), by })?;
+    Ok(Outcome::Done)
+}
+
+/// The statement that the worker has taken.
+#[derive(Debug, Serialize)]
+struct Stated {
+    fleet: String,
+    robot: u32,
+    statement: String,
+    by: String,
+}
+
+impl fmt::Display for Stated {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(out, "robot {}: {}, states {}", self.robot, self.statement, self.by)
+    }
+}
+
+fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<Outcome> {
+    let board = RefCell::new(Board::new(clock::monotonic_ns()));
+    let mut reading = Reading::open(config, "battery", false)?;
+    let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
+    let mut list = BatteryList { fleet: config.fleet().to_owned(), robots: Vec::new() };
+    while list.robots.is_empty() && clock::monotonic_ns() < give_up_ns {
+        reading.poll(|| board.borrow_mut())?;
+        let board = board.borrow();
+        let rows = board.rows.values().filter_map(|row| row.budget.as_ref());
+        let wanted = rows.filter(|budget| robot.is_none_or(|robot| budget.robot == robot));
+        list.robots = wanted.map(BatteryRecord::new).collect();
+    }
+    if list.robots.is_empty() {
+        let seen = board.borrow().header().is_some();
+        let why = match (seen, robot) {
+            (true, Some(robot)) => format!("the worker has received no samples of robot {robot}"),
+            (true, None) => "the worker has received no samples of any robot".to_owned(),
+            (false, _) => NoWorker::seen_nowhere(&config.domain()?).to_string(),
+        };
+        log_line(&why);
+        return Ok(Outcome::Failed);
+    }
+    output.report(&list)?;
+    Ok(Outcome::Done)
+}
+
+#[derive(Debug, Serialize)]
+struct BatteryList {
+    fleet: String,
+    robots: Vec<BatteryRecord>,
+}
+
+/// What is known of a robot's battery. Shares of the capacity, from 0 to 1.
+#[derive(Debug, Serialize)]
+struct BatteryRecord {
+    robot: u32,
+    /// False if the robot's platform has none.
+    battery: bool,
+    soc: Option<f64>,
+    soc_lo: Option<f64>,
+    soc_hi: Option<f64>,
+    usable_j: Option<f64>,
+    time_to_empty_s: Option<f64>,
+    charging: bool,
+    off: bool,
+    idle_w: Option<f64>,
+    /// Time without readings since the charge was known, s, and by how much it may have lowered it.
+    pause_s: f64,
+    pause: f64,
+    /// What a pause cost, and what to do.
+    note: Option<String>,
+}
+
+impl BatteryRecord {
+    fn new(budget: &Budget) -> Self {
+        let number = |value: f32| value.is_finite().then_some(f64::from(value));
+        Self {
+            robot: budget.robot,
+            battery: budget.flags & budget_flag::BATTERY != 0,
+            soc: number(budget.soc),
+            soc_lo: number(budget.soc_lo),
+            soc_hi: number(budget.soc_hi),
+            usable_j: number(budget.usable_j),
+            time_to_empty_s: number(budget.time_to_empty_s),
+            charging: budget.charge_state() == ChargeState::Charging,
+            off: budget.flags & budget_flag::OFF != 0,
+            idle_w: number(budget.idle_w),
+            pause_s: budget.pause_s.into(),
+            pause: budget.pause.into(),
+            note: budget.pause_note(),
+        }
+    }
+}
+
+impl fmt::Display for BatteryList {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for robot in &self.robots {
+            write!(out, "robot {}: ", robot.robot)?;
+            let percent = |share: Option<f64>| share.map_or(f64::NAN, |share| 100.0 * share);
+            match (robot.battery, robot.soc) {
+                (false, _) => write!(out, "{}", joulebus_settings::NO_BATTERY)?,
+                (true, None) => write!(out, "charge unknown")?,
+                (true, soc) => write!(
+                    out,
+                    "{:.0} % ({:.0} to {:.0})",
+                    percent(soc),
+                    percent(robot.soc_lo),
+                    percent(robot.soc_hi)
+                )?,
+            }
+            if robot.charging {
+                write!(out, ", charging")?;
+            }
+            if robot.off {
+                write!(out, ", switched off")?;
+            }
+            match &robot.note {
+                Some(note) => writeln!(out, ". {note}")?,
+                None => writeln!(out)?,
+            }
+        }
+        Ok(())
+    }
+}
