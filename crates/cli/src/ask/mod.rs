@@ -53,12 +53,13 @@ const MOMENTS: usize = 48;
     Verdict yes: on every leg, the upper end of the energy fits into the lower bound of what the \
     battery can spare above its reserve. tight: only the expected energy fits, or the robot's own \
     readings are in doubt (none at present, outside the training data, or an alarm such as \
-    StuckSensor: it is named). no: the expected energy does not fit. unknown: the answer has the \
-    reason. What the model does not know of the plan itself widens the energy to the platform's \
-    limits of power, which still can be a yes. Then the probability is unknown. A time to turn \
-    back is stated if the answer is not a yes. With --return the energy of docking counts too \
-    (docking_wh of [battery]). The line charge has the state of charge along the trip, with its \
-    interval. JSON has 48 moments of it.\n\n\
+    StuckSensor: it is named), or the model's recordings cannot show what the plan costs. no: the \
+    expected energy does not fit. unknown: the answer has the reason. What the model does not know \
+    of the plan itself widens the energy to what was recorded, which still can be a yes. Then the \
+    probability is unknown, and the answer names the quantity outside the training and the speed \
+    at which the path would be inside. A time to turn back is stated if the answer is not a yes. \
+    With --return the energy of docking counts too (docking_wh of [battery]). The line charge has \
+    the state of charge along the trip, with its interval. JSON has 48 moments of it.\n\n\
     This process computes the answer, from the worker's plan states in shared \
     memory and from the models of the config. These must be the worker's models. So there is no \
     queue and no load on the worker, and a path may have any length. Robots that are not in the \

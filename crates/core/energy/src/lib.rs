@@ -11,6 +11,7 @@ mod memory;
 mod model;
 mod outlook;
 mod quantiles;
+mod ridge;
 mod state;
 
 pub use calibration::{
@@ -22,7 +23,8 @@ pub use lasting::{Lasting, LastingPower};
 pub use left::EnergyLeft;
 pub use levels::{LEVELS, LEVELS_S, SHADOWS, SHADOWS_S};
 pub use memory::{GROUPS, Memory, SHOWN, Shown, group_of, shown_start};
-pub use model::{EnergyModel, EnergyModelError, HORIZONS_S};
+pub use model::{EnergyModel, EnergyModelError, HORIZONS_S, Limit, RECORDED_S};
 pub use outlook::{EnergyOutlook, OutlookModel};
 pub use quantiles::{KNOTS, QUANTILES};
+pub use ridge::{Outside, Quantity, RIDGE_TERMS, Ridge};
 pub use state::{Ahead, EnergySample, EnergyState, Learned, Made, Metered};

@@ -1,11 +1,14 @@
 //! The energy model of a platform.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 use crate::command::{COMBINED_TERMS, CommandModel};
 use crate::levels::{LEVELS, NEWEST};
 use crate::quantiles::{self, KNOTS};
+use crate::ridge::Ridge;
 
 /// Number of horizons at which weights and errors are known.
 const HORIZONS: usize = 6;
@@ -52,6 +55,51 @@ pub struct EnergyModel {
     /// older files: every step that changes a command then counts as outside the training data.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub combined: Option<[f32; COMBINED_TERMS]>,
+    /// Power of commands of which no reading tells the level. `None` in older files, and for models
+    /// that do not read commands.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ridge: Option<Ridge>,
+    /// Lowest and highest mean power over [`RECORDED_S`] in the training data, W: what bounds steps
+    /// that no model knows. `None` in older files.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub recorded_w: Option<[f32; 2]>,
+    /// What the recordings cannot show of plans.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub limits: Vec<Limit>,
+    /// Power that the robot draws beside what was recorded, W, at least 0: the hotel load of a
+    /// recording of the drives alone. `None` if it is not stated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hotel_w: Option<f32>,
+}
+
+/// Time over which [`EnergyModel::recorded_w`] are means, s.
+pub const RECORDED_S: f32 = 3.0;
+
+/// What the recordings of a model cannot show of plans. An answer to a plan that meets it is weaker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Limit {
+    /// The robots never turned. A plan that turns has steps outside the training data.
+    NoTurns,
+    /// The commands are measured velocities: what a command costs that the robot does not follow is
+    /// not known.
+    MeasuredVelocities,
+    /// No velocities were recorded: commands make no difference.
+    NoVelocities,
+    /// The recorded power is that of the drives, without the hotel load.
+    DrivePower,
+}
+
+impl fmt::Display for Limit {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str(match self {
+            Self::NoTurns => "no robot turned",
+            Self::MeasuredVelocities => "velocities were measured, not commanded",
+            Self::NoVelocities => "no velocities were recorded",
+            Self::DrivePower => "power of the drives alone",
+        })
+    }
 }
 
 /// Errors of reading an energy model.
@@ -102,6 +150,10 @@ impl EnergyModel {
             v_mps: [f32::MIN, f32::MAX],
             omega_radps: [f32::MIN, f32::MAX],
             combined: Some([f32::MAX; COMBINED_TERMS]),
+            ridge: None,
+            recorded_w: None,
+            limits: Vec::new(),
+            hotel_w: None,
         }
     }
 
@@ -171,9 +223,24 @@ impl EnergyModel {
             let what = "a product or change of velocities in the training data";
             within(what, highest, 0.0, f32::MAX, AT_LEAST_0)?;
         }
-        for [lowest, highest] in [self.v_mps, self.omega_radps] {
+        if let Some(ridge) = &self.ridge {
+            let columns = [&ridge.means, &ridge.weights].into_iter().chain(&ridge.inverse);
+            for value in columns.flatten().chain([&ridge.constant_w]) {
+                within("a number of the ridge regression", *value, f32::MIN, f32::MAX, "finite")?;
+            }
+            for value in ridge.scales.iter().chain([&ridge.max_leverage]) {
+                within("a scale of the ridge regression", *value, least, f32::MAX, POSITIVE)?;
+            }
+            let what = "the error of left-out drives";
+            within(what, ridge.left_out, 0.0, f32::MAX, AT_LEAST_0)?;
+        }
+        if let Some([_, highest]) = self.recorded_w {
+            within("the highest recorded power", highest, f32::MIN, f32::MAX, "finite")?;
+        }
+        within("the hotel load", self.hotel_w.unwrap_or(0.0), 0.0, f32::MAX, AT_LEAST_0)?;
+        for [lowest, highest] in [self.v_mps, self.omega_radps].into_iter().chain(self.recorded_w) {
             let ordered = if lowest <= highest { 1.0 } else { 0.0 };
-            within("the order of a training range", ordered, 1.0, 1.0, "ascending")?;
+            within("the order of a range", ordered, 1.0, 1.0, "ascending")?;
         }
         Ok(())
     }
@@ -243,8 +310,21 @@ impl EnergyModel {
             let factor = wide / trained_half;
             return errors.map(|error| trained_middle + moved + factor * (error - trained_middle));
         }
-        // Errors without width have no shape. That of a normal distribution stands for it.
-        NORMAL.map(|part| trained_middle + moved + wide * part)
+        Self::widened([trained_middle + moved; KNOTS], wide)
+    }
+
+    /// Quantiles widened about their middle to a half width of the 90 % interval, if they are
+    /// narrower.
+    pub(crate) fn widened(errors: [f32; KNOTS], wide: f32) -> [f32; KNOTS] {
+        let (middle, half) = quantiles::middle_and_half(&errors);
+        match wide > half {
+            false => errors,
+            true if half > LEAST_HALF => {
+                errors.map(|error| middle + wide / half * (error - middle))
+            }
+            // Errors without width have no shape. That of a normal distribution stands for it.
+            true => NORMAL.map(|part| middle + wide * part),
+        }
     }
 
     /// Quantiles of the error at a horizon, linear between the known ones.

@@ -2,8 +2,8 @@
 
 use joulebus_energy::{
     Ahead, CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, ErrorBounds,
-    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Made, Metered, PlatformErrors, SHADOWS,
-    SHADOWS_S, TERMS,
+    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Made, Metered, PlatformErrors, Quantity,
+    RIDGE_TERMS, Ridge, SHADOWS, SHADOWS_S, TERMS,
 };
 use proptest::prelude::*;
 
@@ -32,6 +32,30 @@ fn model(numbers: &[f32], added_share: f32) -> EnergyModel {
         v_mps: [-1.0, 1.0],
         omega_radps: [-2.0, 2.0],
         combined: Some([1.5, 20.0, 40.0, 25.0, 50.0]),
+        ..EnergyModel::untrained(5.0)
+    }
+}
+
+/// The same with a regression in which speed lowers the power, known bounds and a hotel load.
+fn with_ridge(model: EnergyModel) -> EnergyModel {
+    let recorded_w = Some([4.0, 14.0]);
+    EnergyModel { ridge: Some(ridge()), recorded_w, hotel_w: Some(2.0), ..model }
+}
+
+fn ridge() -> Ridge {
+    let inverse = std::array::from_fn(|row| {
+        let mut inverse = [0.0; RIDGE_TERMS];
+        inverse[row] = 0.5;
+        inverse
+    });
+    Ridge {
+        constant_w: 9.0,
+        means: [0.3, 0.1, 0.6, 0.8, 0.7, 0.6, 0.2],
+        scales: [0.3, 0.1, 0.3, 0.5, 0.8, 0.3, 0.2],
+        weights: [-1.0, -0.5, 0.3, 1.5, 0.8, 0.2, -0.6],
+        inverse,
+        max_leverage: 60.0,
+        left_out: 0.4,
     }
 }
 
@@ -306,7 +330,7 @@ proptest! {
     fn the_power_of_the_steps_adds_up_to_the_energy(
         samples in samples(), plan in plan(), added_share in 0.0f32..=1.0,
     ) {
-        let model = model(&[0.5; TERMS], added_share);
+        let model = with_ridge(model(&[0.5; TERMS], added_share));
         let state = observed(&model, &samples);
         let (v_mps, omega_radps) = split(&plan);
         let commands = Commands { period_s: 0.1, v_mps: &v_mps, omega_radps: &omega_radps };
@@ -324,7 +348,13 @@ proptest! {
         plan in prop::collection::vec((0.05f32..0.5, -2.0f32..-0.1), 1..12),
         step in 0usize..12,
     ) {
-        let model = model(&[0.7, 0.3, 2.0, 1.0, 0.4, 0.2, 0.6, 0.9, 0.05, 0.02, 0.03, 0.01], 0.4);
+        let model = with_ridge(model(
+            &[0.7, 0.3, 2.0, 1.0, 0.4, 0.2, 0.6, 0.9, 0.05, 0.02, 0.03, 0.01], 0.4,
+        ));
+        // Neither a bound nor the border of the training is near.
+        let ridge = Some(Ridge { max_leverage: 1e6, ..ridge() });
+        let model =
+            EnergyModel { ridge, recorded_w: Some([-1e3, 1e3]), omega_radps: [-9.0, 9.0], ..model };
         let state = observed(&model, &samples);
         let step = step % plan.len();
         let (v_mps, omega_radps) = split(&plan);
@@ -539,6 +569,90 @@ fn commands_that_change_faster_than_any_in_training_are_named() {
     assert_eq!(outside(&constant, &[0.0, 9.0, 0.0], &[1.0; 3]), 0);
 }
 
+#[test]
+fn an_answer_names_the_quantity_outside_and_the_speed_at_which_it_would_be_inside() {
+    let changes = Some([1.5, 3.0, 40.0, 25.0, 50.0]);
+    let model = with_ridge(EnergyModel { combined: changes, ..model(&[0.5; TERMS], 0.0) });
+    let outside = |v_mps: &[f32], omega_radps: &[f32]| {
+        let plan = commands(0.1, v_mps, omega_radps);
+        model.forecast(&EnergyState::new(0), plan).outside
+    };
+    assert_eq!(outside(&[0.5; 3], &[0.5; 3]), None);
+    for (v_mps, omega_radps, quantity, value, known, inside_at_mps) in [
+        // Too fast at one step of several, in an arc, and on the spot.
+        ([1.0, 1.3, 1.3], [0.0; 3], Quantity::Velocity, 1.3, [-1.0, 1.0], Some(1.0)),
+        ([-1.25; 3], [0.0; 3], Quantity::Velocity, -1.25, [-1.0, 1.0], Some(1.0)),
+        ([0.5; 3], [2.5; 3], Quantity::AngularVelocity, 2.5, [-2.0, 2.0], Some(0.4)),
+        ([0.0; 3], [2.5; 3], Quantity::AngularVelocity, 2.5, [-2.0, 2.0], None),
+        // Products of a speed and its change grow as its square.
+        ([0.1, 0.7, 0.7], [0.0; 3], Quantity::Acceleration, 4.2, [0.0, 3.15], Some(0.606_2)),
+    ] {
+        let found = outside(&v_mps, &omega_radps).expect("outside");
+        assert_eq!(found.quantity, quantity);
+        let near = |one: f32, other: f32| (one - other).abs() < 1e-3;
+        assert!(near(found.value, value), "{found:?}");
+        assert!(near(found.known[0], known[0]) && near(found.known[1], known[1]), "{found:?}");
+        let speeds = found.inside_at_mps.zip(inside_at_mps);
+        assert_eq!(found.inside_at_mps.is_some(), inside_at_mps.is_some(), "{found:?}");
+        assert!(speeds.is_none_or(|(found, expected)| near(found, expected)), "{found:?}");
+    }
+    // Both within, and together farther than any command of the training.
+    let found = outside(&[0.98; 2], &[1.98; 2]).expect("outside");
+    assert!(found.quantity == Quantity::Together && found.value > 1.0, "{found:?}");
+    let speed_mps = found.inside_at_mps.expect("slower is inside");
+    let share = speed_mps / 0.98;
+    assert_eq!(outside(&[speed_mps; 2], &[share * 1.98; 2]), None, "{found:?}");
+    assert!(outside(&[f32::NAN; 2], &[0.0; 2]).is_some());
+}
+
+#[test]
+fn a_robot_without_readings_is_forecast_by_the_regression_and_one_with_many_by_its_level() {
+    let base = model(&[0.5; TERMS], 0.0);
+    let model = EnergyModel { hotel_w: None, ..with_ridge(base.clone()) };
+    let ridge = model.ridge.clone().expect("it has one");
+    let energy_j = |model: &EnergyModel, state: &EnergyState| {
+        let forecast = model.forecast(state, commands(0.5, &[0.3; 10], &[0.8; 10]));
+        let [lo_j, hi_j] = [0.05, 0.95].map(|p| forecast.quantile_j(p).expect("known"));
+        (forecast.energy_j, (hi_j - lo_j) / forecast.energy_j)
+    };
+    let fresh = EnergyState::new(0);
+    let deviations = ridge.deviations(&model.command, 0.3, 0.8);
+    let (found_j, wide) = energy_j(&model, &fresh);
+    assert!((found_j - 5.0 * ridge.power_w(&deviations)).abs() < 1e-3, "{found_j}");
+    assert!(wide >= 2.0 * 0.99 * ridge.left_out * 0.7, "{wide}");
+    // A minute of readings: the level counts six times as much, ten minutes: nearly alone.
+    let mut last = f32::INFINITY;
+    for duration_s in [0.0, 5.0, 60.0, 600.0] {
+        let state = driven(&model, duration_s, |_| 9.0);
+        let apart = (energy_j(&model, &state).0 - energy_j(&base, &state).0).abs();
+        assert!(apart < last, "{duration_s} s: {apart} {last}");
+        last = apart;
+    }
+    assert!(last < 0.05 * found_j, "{last}");
+}
+
+#[test]
+fn commands_outside_the_training_are_bounded_by_what_was_recorded() {
+    let model = EnergyModel { hotel_w: None, ..with_ridge(model(&[0.5; TERMS], 0.0)) };
+    let fresh = EnergyState::new(0);
+    let bounds = |state: &EnergyState, v_mps: f32| {
+        model.forecast(state, commands(0.5, &[v_mps; 10], &[0.0; 10])).outside_w.expect("known")
+    };
+    // The regression's error reaches farther, the farther the command is, up to what was recorded.
+    let widths = [1.2, 2.0, 3.0].map(|v_mps| {
+        let [lowest, expected, highest] = bounds(&fresh, v_mps);
+        assert!(lowest <= expected && expected <= highest);
+        assert!(lowest >= 4.0f32.min(expected) && highest <= 14.0f32.max(expected), "{v_mps}");
+        (highest - lowest) / expected
+    });
+    assert!(widths[0] > 0.0 && widths[2] >= widths[0], "{widths:?}");
+    // A robot that has drawn more than any in training may draw it again.
+    let strong = driven(&model, 30.0, |_| 60.0);
+    assert!(bounds(&strong, 1.2)[2] > 55.0);
+    let inside = model.forecast(&fresh, commands(0.5, &[0.3; 10], &[0.5; 10]));
+    assert_eq!((inside.steps_outside, inside.outside_w), (0, None));
+}
+
 /// A robot whose power is redrawn every second: its errors are far above or far below the model's.
 #[test]
 fn intervals_widen_and_narrow_with_the_robots_own_errors() {
@@ -577,7 +691,10 @@ fn intervals_widen_and_narrow_with_the_robots_own_errors() {
 #[test]
 fn a_model_out_of_range_is_refused_by_name() {
     let good = model(&[0.5; TERMS], 0.0);
-    let spoil: [fn(&mut EnergyModel); 10] = [
+    let spoil: [fn(&mut EnergyModel); 13] = [
+        |model| model.ridge = Some(Ridge { max_leverage: 0.0, ..ridge() }),
+        |model| model.recorded_w = Some([3.0, f32::NAN]),
+        |model| model.hotel_w = Some(-1.0),
         |model| model.command.weights[3] = f32::NAN,
         |model| model.command.weights[0] = 0.0,
         |model| model.command.half_v_mps = 0.0,

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use joulebus_energy::{Limit, Outside};
 use joulebus_settings::NO_BATTERY;
 use joulebus_wire::{Alarm, AlarmCard, InvalidReason, answer_flag, plan_state_flag};
 use serde::{Serialize, Serializer};
@@ -68,11 +69,13 @@ impl Answer {
         limiting_leg: None,
         caveats: Caveats {
             steps_outside_training: 0,
+            outside: None,
             beyond_horizon: false,
             no_reading: false,
             state_outside_training: false,
             late_s: 0,
             alarms: Doubts(0),
+            limits: Limits(0),
         },
     };
 }
@@ -134,17 +137,21 @@ fn name<S: Serializer>(reason: &InvalidReason, to: S) -> Result<S::Ok, S::Error>
 
 /// Reasons that weaken an answer.
 ///
-/// What is not known of a *plan* widens its interval: steps outside the training data, and all steps
-/// of a model that states no errors, count with the platform's minimum and maximum power. Beyond the
-/// longest horizon whose errors are known, they are extrapolated. The answer is [`Verdict::Yes`] if
+/// What is not known of a *plan* widens its interval. Steps outside the training data count with the
+/// lowest and highest power that was recorded. All steps of a model that states no errors count with
+/// the platform's minimum and maximum power. Beyond the longest horizon whose errors are known, they are extrapolated. The answer is [`Verdict::Yes`] if
 /// the battery spares even that. If the *robot's state* is weak, or an alarm
 /// casts doubt on its readings, no interval shows by how much, and the answer is
-/// [`Verdict::Tight`] at best.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+/// [`Verdict::Tight`] at best. So it is if the model's recordings cannot show what a plan that moves
+/// costs.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
 #[non_exhaustive]
 pub struct Caveats {
     /// Steps whose commands lie outside the training data, or all of a model without errors.
     pub steps_outside_training: usize,
+    /// The quantity outside that would need the greatest change. `None` without such steps, if the
+    /// model knows no errors, and from a worker that does not tell it.
+    pub outside: Option<Outside>,
     /// The plan is longer than the longest horizon whose errors are known: its interval and its
     /// probability are extrapolated.
     pub beyond_horizon: bool,
@@ -157,6 +164,86 @@ pub struct Caveats {
     pub late_s: u16,
     /// Raised alarms that cast doubt on the robot's readings.
     pub alarms: Doubts,
+    /// What the model's recordings cannot show of this plan.
+    pub limits: Limits,
+}
+
+/// Limits of a model's recordings that a plan meets. As JSON: a list of their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Limits(u32);
+
+/// The limits that an answer states, each with its name and its words.
+const LIMITS: [(Limit, &str, &str); 3] = [
+    (
+        Limit::MeasuredVelocities,
+        "measured_velocities",
+        "the model was trained on measured velocities, and not on commands",
+    ),
+    (
+        Limit::NoVelocities,
+        "no_velocities",
+        "the model was trained without velocities, so it does not know what moving costs",
+    ),
+    (
+        Limit::DrivePower,
+        "drive_power",
+        "the energy is that of the drives alone: state hotel_w in the recipe of the model",
+    ),
+];
+
+impl Limits {
+    /// Those of a model that a plan meets. A plan that turns beyond the training has steps outside.
+    pub(crate) fn met(limits: &[Limit], moves: bool, has_hotel: bool) -> Self {
+        let is_met = |limit: &Limit| match limit {
+            Limit::MeasuredVelocities | Limit::NoVelocities => moves,
+            Limit::DrivePower => !has_hotel,
+            _ => false,
+        };
+        let stated = LIMITS.iter().enumerate();
+        let met = stated.filter(|(_, (limit, ..))| limits.contains(limit) && is_met(limit));
+        Self(met.fold(0, |set, (place, _)| set | 1 << place))
+    }
+
+    /// From their bits in an answer's words. Those of a newer version are left out.
+    pub(crate) const fn from_bits(bits: u32) -> Self {
+        Self(bits & ((1 << LIMITS.len()) - 1))
+    }
+
+    /// Their bits in an answer's words.
+    pub(crate) const fn bits(self) -> u32 {
+        self.0
+    }
+
+    /// True if there is none.
+    #[must_use]
+    pub const fn is_empty(self) -> bool {
+        self.0 == 0
+    }
+
+    fn iter(self) -> impl Iterator<Item = &'static (Limit, &'static str, &'static str)> {
+        LIMITS
+            .iter()
+            .enumerate()
+            .filter(move |(place, _)| self.0 >> place & 1 == 1)
+            .map(|(_, of)| of)
+    }
+
+    /// True if what moving costs is not known. A hotel load that is left out is one of which the
+    /// battery's readings know nothing either.
+    const fn bar_yes(self) -> bool {
+        self.0 & 0b11 != 0
+    }
+
+    /// Their names.
+    pub fn names(self) -> impl Iterator<Item = &'static str> {
+        self.iter().map(|(_, name, _)| *name)
+    }
+}
+
+impl Serialize for Limits {
+    fn serialize<S: Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.collect_seq(self.names())
+    }
 }
 
 /// A set of the raised alarms that cast doubt on what a robot reports: `NoData`, `OutOfRange`,
@@ -235,7 +322,10 @@ impl Serialize for Doubts {
 impl Caveats {
     /// True if the robot's state is too weak for [`Verdict::Yes`].
     pub(crate) const fn bar_yes(&self) -> bool {
-        self.no_reading || self.state_outside_training || !self.alarms.is_empty()
+        self.no_reading
+            || self.state_outside_training
+            || !self.alarms.is_empty()
+            || self.limits.bar_yes()
     }
 
     /// True if there is any.
@@ -247,6 +337,7 @@ impl Caveats {
             || self.state_outside_training
             || self.late_s > 0
             || !self.alarms.is_empty()
+            || !self.limits.is_empty()
     }
 }
 
@@ -291,12 +382,13 @@ impl fmt::Display for Unknown {
 impl fmt::Display for Caveats {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let mut parts = Vec::new();
-        if self.steps_outside_training > 0 {
-            parts.push(format!(
-                "{} steps are outside the model's training data: they count with the platform's \
-                    limits of power",
-                self.steps_outside_training
-            ));
+        match (self.steps_outside_training, self.outside) {
+            (0, _) => {}
+            (steps, None) => parts.push(format!(
+                "{steps} steps are outside the model's training data: they count with the \
+                    platform's limits of power"
+            )),
+            (steps, Some(outside)) => parts.push(outside_words(steps, &outside)),
         }
         if self.beyond_horizon {
             parts.push(
@@ -321,6 +413,37 @@ impl fmt::Display for Caveats {
             let names: Vec<&str> = self.alarms.names().collect();
             parts.push(format!("alarms cast doubt on its readings: {}", names.join(" and ")));
         }
+        parts.extend(self.limits.iter().map(|(.., words)| (*words).to_owned()));
         write!(out, "{}", parts.join(", "))
     }
+}
+
+/// Which quantity is outside the training data, its value, its known range and what to change.
+fn outside_words(steps: usize, outside: &Outside) -> String {
+    let [name, unit] = outside.quantity.words();
+    let [lowest, highest] = outside.known.map(number);
+    let value = number(outside.value);
+    let count = if steps == 1 { "1 step is".to_owned() } else { format!("{steps} steps are") };
+    let remedy = match outside.inside_at_mps {
+        Some(speed_mps) => format!(", inside at {} m/s", number(0.995 * speed_mps)),
+        None => String::new(),
+    };
+    format!(
+        "{count} outside the model's training data ({name} is {value}{unit}, known from {lowest} to \
+         {highest}{remedy})"
+    )
+}
+
+/// A number with three digits that count.
+fn number(value: f32) -> String {
+    let digits = match value.abs() {
+        large if large >= 100.0 => 0,
+        large if large >= 10.0 => 1,
+        middle if middle >= 1.0 => 2,
+        _ => 3,
+    };
+    let text = format!("{value:.digits$}");
+    let text =
+        if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    if text == "-0" { "0".to_owned() } else { text.replace('-', "−") }
 }

@@ -2,7 +2,7 @@
 
 use joulebus_energy::{CommandSum, Commands, EnergyForecast, EnergyModel, EnergyState};
 
-use crate::answer::{Caveats, Range};
+use crate::answer::{Caveats, Limits, Range};
 
 /// A plan as far as it has been followed, or a part of one: its energy follows without reading its
 /// commands again.
@@ -30,8 +30,8 @@ impl Progress {
         self.added_j += part.added_j;
     }
 
-    /// The energy so far. Steps outside the training data, and all of a model without known errors,
-    /// widen it to the platform's minimum and maximum power (W).
+    /// The energy so far. Steps outside the training data widen it to what such steps may draw. All of
+    /// a model without known errors widen it to the platform's minimum and maximum power (W).
     pub(crate) fn estimate(
         &self,
         model: &EnergyModel,
@@ -45,10 +45,16 @@ impl Progress {
         let widened = if is_known { self.sum.steps_outside() } else { self.sum.steps() };
         let widened_s = widened as f32 * self.sum.period_s();
         let mean_w = whole.energy_j / whole.duration_s;
+        let [lowest_w, expected_w, highest_w] = match whole.outside_w.filter(|_| is_known) {
+            Some([lowest, expected, highest]) => {
+                [lowest.max(power_min_w), expected, highest.min(power_max_w)]
+            }
+            None => [power_min_w, mean_w, power_max_w],
+        };
         let tail = 0.5 * (1.0 - coverage);
         let offset_j = |p| whole.quantile_j(p).map_or(0.0, |edge_j| edge_j - whole.energy_j);
-        let down_w = (mean_w - power_min_w).max(0.0);
-        let up_w = (power_max_w - mean_w).max(0.0);
+        let down_w = (expected_w - lowest_w).max(0.0);
+        let up_w = (highest_w - expected_w).max(0.0);
         let lo_j = whole.energy_j + offset_j(tail) - widened_s * down_w;
         let least_j = (power_min_w * whole.duration_s).min(whole.energy_j);
         let hi_j = whole.energy_j + offset_j(1.0 - tail) + widened_s * up_w;
@@ -63,11 +69,29 @@ impl Progress {
             hi_j: hi_j + added_j,
             caveats: Caveats {
                 steps_outside_training: widened,
+                outside: whole.outside.filter(|_| is_known),
+                limits: Limits::met(&model.limits, self.sum.moves(), model.hotel_w.is_some()),
                 beyond_horizon: is_known && !model.covers(whole.duration_s),
                 ..Caveats::default()
             },
         }
     }
+}
+
+/// Energy of commands, and what weakens it, of a robot of which nothing has been read: its first
+/// drive as `joulebus eval --trips` asks about it. `None` if commands or coverage are not sound. The
+/// power is bounded by what the model's recordings have.
+#[must_use]
+pub fn first_energy(
+    model: &EnergyModel,
+    commands: Commands<'_>,
+    coverage: f32,
+) -> Option<(Range, Caveats)> {
+    let state = EnergyState::new(0);
+    let mut progress = Progress::new(CommandSum::new(&state, commands.period_s));
+    progress.add(model, commands, 0.0);
+    let estimate = progress.estimate(model, &state, [f32::MIN, f32::MAX], coverage);
+    Some((estimate.energy()?, estimate.caveats))
 }
 
 /// The energy of a plan.

@@ -18,10 +18,12 @@ mod route;
 mod shape;
 mod trip;
 
-pub use answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
+pub use answer::{Answer, Caveats, Doubts, Left, Limits, Range, Unknown, Verdict};
 pub use candidates::Candidates;
 pub use error::{AskError, Differs, PathError, QuestionError, Refused};
+pub use estimate::first_energy;
 pub use fleet::Fleet;
+pub use joulebus_energy::{Outside, Quantity};
 pub use limits::MAX_STEPS;
 pub use path::{Path, Point};
 pub use platform::{Frames, Platform, RobotRows};

@@ -1,5 +1,6 @@
 //! Questions and replies as payloads in shared memory and in recordings.
 
+use joulebus_energy::{Outside, Quantity};
 use joulebus_wire::{
     Acknowledgement, Alarm, AnswerHeader, AnswerRow, InvalidReason, MAX_ANSWER_WORDS,
     MAX_NAME_BYTES, MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_VALUES, QueryHeader,
@@ -7,11 +8,13 @@ use joulebus_wire::{
     query_flag,
 };
 
-use crate::answer::{Answer, Caveats, Doubts, Left, Range, Unknown, Verdict};
+use crate::answer::{Answer, Caveats, Doubts, Left, Limits, Range, Unknown, Verdict};
 use crate::error::{QuestionError, Refused};
 use crate::path::{Path, Point};
 use crate::question::{Plan, Question, Reply, Row};
 
+/// Words that state what of a row lies outside the training data.
+const REASON_WORDS: usize = 3;
 /// Values of a point of a path.
 const POINT_VALUES: usize = 3;
 
@@ -387,8 +390,9 @@ fn count(found: usize) -> u32 {
 }
 
 impl Reply {
-    /// Appends the rows, those along the plan, and powers to the words of an answer, and sets their counts. Powers that do
-    /// not fit are left out.
+    /// Appends the rows, those along the plan, and powers to the words of an answer, and sets their
+    /// counts. Powers that do not fit are left out. What lies outside the training data follows, [`REASON_WORDS`] for each
+    /// row, if any row has it.
     pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
         let rows: Vec<AnswerRow> = self.rows.iter().chain(&self.along).map(Row::encode).collect();
         header.rows = count(rows.len());
@@ -400,6 +404,13 @@ impl Reply {
         for pair in self.power_w.chunks(2) {
             let pair = [pair[0], pair.get(1).copied().unwrap_or(0.0)];
             words.push(bytemuck::cast(pair));
+        }
+        let has_reason = |row: &Row| {
+            row.answer.caveats.outside.is_some() || !row.answer.caveats.limits.is_empty()
+        };
+        let fits = words.len() + REASON_WORDS * rows.len() <= MAX_ANSWER_WORDS;
+        if fits && self.rows.iter().any(has_reason) {
+            words.extend(self.rows.iter().flat_map(|row| reason_words(&row.answer.caveats)));
         }
     }
 
@@ -423,10 +434,48 @@ impl Reply {
             let text = "an answer with a verdict of a newer version".to_owned();
             Refused::new(QueryRefusal::Schema, text)
         })?;
+        let before = rows.len() * ROW_WORDS + power_w.len().div_ceil(2);
         let is_along = moments > 0 && rows.len() == 1 + moments;
         let along = if is_along { rows.split_off(1) } else { Vec::new() };
+        let (reasons, _) = words.get(before..).unwrap_or_default().as_chunks::<REASON_WORDS>();
+        // A worker of an earlier version tells none.
+        if reasons.len() >= rows.len() {
+            for (row, reason) in rows.iter_mut().zip(reasons) {
+                set_reason(&mut row.answer.caveats, reason);
+            }
+        }
         Ok(Self { rows, along, power_w: power_w.to_vec() })
     }
+}
+
+/// Code of the quantity (0 without) and bits of the limits, value and known range, speed.
+fn reason_words(caveats: &Caveats) -> [u64; REASON_WORDS] {
+    let outside = caveats.outside;
+    let quantity = outside.and_then(|of| Quantity::ALL.iter().position(|one| *one == of.quantity));
+    let code = quantity.map_or(0, |place| count(place + 1));
+    let [lowest, highest] = outside.map_or([0.0; 2], |outside| outside.known);
+    let value = outside.map_or(0.0, |outside| outside.value);
+    let speed_mps = outside.and_then(|outside| outside.inside_at_mps).unwrap_or(f32::NAN);
+    [
+        bytemuck::cast([code, caveats.limits.bits()]),
+        bytemuck::cast([value, lowest]),
+        bytemuck::cast([highest, speed_mps]),
+    ]
+}
+
+/// Reads [`reason_words`].
+fn set_reason(caveats: &mut Caveats, words: &[u64; REASON_WORDS]) {
+    let [code, limits]: [u32; 2] = bytemuck::cast(words[0]);
+    let [value, lowest]: [f32; 2] = bytemuck::cast(words[1]);
+    let [highest, speed_mps]: [f32; 2] = bytemuck::cast(words[2]);
+    let place = (code as usize).checked_sub(1);
+    caveats.limits = Limits::from_bits(limits);
+    caveats.outside = place.and_then(|place| Quantity::ALL.get(place)).map(|quantity| Outside {
+        quantity: *quantity,
+        value,
+        known: [lowest, highest],
+        inside_at_mps: (speed_mps > 0.0).then_some(speed_mps),
+    });
 }
 
 impl Refused {
@@ -480,6 +529,7 @@ impl Row {
             | row_flag(caveats.beyond_horizon, answer_flag::BEYOND_HORIZON)
             | row_flag(caveats.no_reading, answer_flag::NO_READING)
             | row_flag(caveats.state_outside_training, answer_flag::OUTSIDE_TRAINING)
+            | row_flag(!caveats.limits.is_empty(), answer_flag::MODEL_LIMIT)
             | caveats.alarms.row_flags();
         let nan = f32::NAN;
         AnswerRow {
@@ -530,6 +580,7 @@ impl Row {
                     state_outside_training: has(answer_flag::OUTSIDE_TRAINING),
                     late_s: if has_detail(row.unknown) { 0 } else { row.unknown_detail },
                     alarms: Doubts::from_row(row.flags),
+                    ..Caveats::default()
                 },
             },
         })

@@ -321,9 +321,10 @@ impl<'a> Robot<'a> {
         let possible_w = [settings.power_min_w, settings.power_max_w];
         let mut estimate = progress.estimate(self.model(), &self.energy, possible_w, coverage);
         estimate.caveats = Caveats {
-            steps_outside_training: estimate.caveats.steps_outside_training,
-            beyond_horizon: estimate.caveats.beyond_horizon,
-            ..self.caveats()
+            no_reading: self.no_reading,
+            state_outside_training: self.outside_training,
+            alarms: self.alarms,
+            ..estimate.caveats
         };
         estimate
     }

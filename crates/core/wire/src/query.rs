@@ -2,7 +2,7 @@
 //!
 //! A client sends a [`QueryHeader`] with a slice of `f64`. The worker answers with an
 //! [`AnswerHeader`] and a slice of words of 8 bytes: [`AnswerRow`]s, then the power of every step
-//! as `f32` if it was asked for. A refused question gets the reason's text in UTF-8 instead.
+//! as `f32` if it was asked for, then three words for each row if one lies outside the training data. A refused question gets the reason's text in UTF-8 instead.
 //!
 //! | kind | values of the question |
 //! |---|---|
@@ -26,7 +26,8 @@ use crate::rows;
 ///
 /// 5: a plan whose commands are not trusted leans on the robot's own mean, as its outlook does.
 ///
-/// 6: the stairs of a grid are driven as straight lines.
+/// 6: the stairs of a grid are driven as straight lines; a ridge regression, recorded bounds of
+/// power and limits of the model's recordings.
 pub const ANSWER_RULES: u32 = 6;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
@@ -240,6 +241,9 @@ bits! {
         pub const ALARM_SOC_IMPLAUSIBLE: u16 = 1 << 13;
         /// The robot's alarm `Implausible` is raised.
         pub const ALARM_IMPLAUSIBLE: u16 = 1 << 14;
+        /// The recordings of the robot's model cannot show what the plan costs, or leave out the
+        /// hotel load.
+        pub const MODEL_LIMIT: u16 = 1 << 15;
     }
 }
 

@@ -69,10 +69,36 @@ const caveatNames = {
   late_s: "the robot cannot keep the path's times",
 };
 
+const limitNames = {
+  measured_velocities: "the model was trained on measured velocities, not on commands",
+  no_velocities: "the model does not know what moving costs",
+  drive_power: "the energy is that of the drives alone",
+};
+
+const quantities = {
+  velocity: "v in m/s",
+  angular_velocity: "ω in rad/s",
+  acceleration: "v·dv/dt in m²/s³",
+  angular_acceleration: "ω·dω/dt in rad²/s³",
+  velocity_change: "|dv/dt| in m/s²",
+  angular_velocity_change: "|dω/dt| in rad/s²",
+  together: "distance of v and ω together",
+};
+
+/** Which quantity lies outside, its value, its known range, and the speed that would do. */
+function outside(found) {
+  if (!found) return "";
+  const number = (value) => Number(value.toPrecision(3)).toString();
+  const speed = found.inside_at_mps ? `, inside at ${number(0.995 * found.inside_at_mps)} m/s` : "";
+  const [lowest, highest] = found.known.map(number);
+  return ` (${quantities[found.quantity] ?? found.quantity}: ${number(found.value)}, known from ${lowest} to ${highest}${speed})`;
+}
+
 function caveats(list) {
   const texts = Object.entries(caveatNames).filter(([name]) => list?.[name]).map(([, text]) => text);
   if (list?.alarms?.length > 0) texts.push(`alarms cast doubt on its readings: ${list.alarms.join(" and ")}`);
-  if (list?.steps_outside_training > 0) texts.push(`${format.count(list.steps_outside_training)} steps outside the training data`);
+  if (list?.steps_outside_training > 0) texts.push(`${format.count(list.steps_outside_training)} steps outside the training data${outside(list.outside)}`);
+  texts.push(...(list?.limits ?? []).map((limit) => limitNames[limit] ?? limit));
   return texts.join("; ");
 }
 

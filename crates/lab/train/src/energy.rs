@@ -12,11 +12,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_energy::{
-    COMBINED_TERMS, CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, QUANTILES,
-    TERMS,
+    COMBINED_TERMS, CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Limit,
+    QUANTILES, RECORDED_S, TERMS,
 };
 use joulebus_predictor::{FeatureSet, LAGS};
 use joulebus_statistics::metrics::quantile;
+
+use crate::ridge::{recorded_w, ridge};
 
 /// Runs are cut into blocks of about this time, each with a level of its own, when the power of
 /// commands is fitted, s.
@@ -41,15 +43,15 @@ pub(crate) const FEWEST_RECORDINGS: usize = 4;
 const MANY_RECORDINGS: usize = 16;
 /// Relative deviation of the mean power between drives before the first, and the number of drives
 /// that it weighs as much as.
-const PRIOR_DRIVES: (f64, f64) = (0.3, 2.0);
+pub(crate) const PRIOR_DRIVES: (f64, f64) = (0.3, 2.0);
 
 /// Consecutive rows of one recording.
-struct Run {
-    origin: RowOrigin,
+pub(crate) struct Run {
+    pub(crate) origin: RowOrigin,
     /// v, ω and their derivatives.
-    motion: Vec<[f32; 4]>,
+    pub(crate) motion: Vec<[f32; 4]>,
     /// The reading that ended each step, W.
-    power_w: Vec<f64>,
+    pub(crate) power_w: Vec<f64>,
     /// The readings before the first step, oldest first, W.
     before_w: [f64; LAGS],
 }
@@ -90,6 +92,16 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         .collect();
     let at = |place: usize| &known[place.min(longest)];
     let ranges = ranges(&all);
+    let unit = unit_of(&all);
+    let window = (f64::from(RECORDED_S) / period_s).round() as usize;
+    let recorded_w = recorded_w(&all, &unit, window);
+    let known_motions = all.iter().flat_map(|run| &run.motion).flatten().all(|of| of.is_finite());
+    let mut limits = Vec::new();
+    if !known_motions {
+        limits.push(Limit::NoVelocities);
+    } else if ranges[1] == [0.0; 2] {
+        limits.push(Limit::NoTurns);
+    }
     let model = EnergyModel {
         command: command.model,
         prior_s: prior_s.map(|prior_s| prior_s as f32),
@@ -100,7 +112,14 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
         mean_share: mean_share as f32,
         v_mps: ranges[0],
         omega_radps: ranges[1],
-        combined: Some(combined(&all)),
+        combined: Some(combined(&all, &unit)),
+        ridge: match command.model.reads_commands() {
+            true => ridge(&all, &command.model, recorded_w),
+            false => None,
+        },
+        recorded_w: Some(recorded_w),
+        limits,
+        hotel_w: None,
     };
     model.check().is_ok().then_some(model)
 }
@@ -173,7 +192,7 @@ fn between_drives(levels: &[f64]) -> f64 {
 
 /// The quantile of Student's distribution at probability `p`, with `freedom` degrees of freedom, at
 /// least 1. With t = √n tan θ its density is that of cosⁿ⁻¹ θ.
-fn student(p: f64, freedom: f64) -> f64 {
+pub(crate) fn student(p: f64, freedom: f64) -> f64 {
     const STEPS: usize = 20_000;
     let step = std::f64::consts::FRAC_PI_2 / STEPS as f64;
     let middle = |at: usize| (at as f64 + 0.5) * step;
@@ -226,16 +245,21 @@ fn ranges(runs: &[&Run]) -> [[f32; 2]; 2] {
     })
 }
 
+/// The unit of a run, in which what counts must have been reached twice: its recording, or itself
+/// if there are too few.
+fn unit_of(runs: &[&Run]) -> impl Fn(usize, &Run) -> usize + use<> {
+    let recordings: BTreeSet<u32> = runs.iter().map(|run| run.origin.recording).collect();
+    let are_enough = recordings.len() >= FEWEST_RECORDINGS;
+    move |place, run| if are_enough { run.origin.recording as usize } else { place }
+}
+
 /// The products and changes of velocities reached in at least two recordings, or in two runs of too
 /// few recordings. A single wrong stamp, which divides a change, therefore does not count. A quantile of all rows would not do: jumps between
 /// commands are rare, and the plans of every follower begin and end with one.
-fn combined(runs: &[&Run]) -> [f32; COMBINED_TERMS] {
-    let recordings: BTreeSet<u32> = runs.iter().map(|run| run.origin.recording).collect();
-    let are_enough = recordings.len() >= FEWEST_RECORDINGS;
+fn combined(runs: &[&Run], unit: impl Fn(usize, &Run) -> usize) -> [f32; COMBINED_TERMS] {
     let mut units = BTreeMap::new();
     for (place, run) in runs.iter().enumerate() {
-        let unit = if are_enough { run.origin.recording as usize } else { place };
-        let of_unit = units.entry(unit).or_insert([0.0f32; COMBINED_TERMS]);
+        let of_unit = units.entry(unit(place, run)).or_insert([0.0f32; COMBINED_TERMS]);
         for motion in &run.motion {
             let terms = CommandModel::combined_terms(*motion);
             for (highest, term) in of_unit.iter_mut().zip(terms) {
@@ -265,12 +289,14 @@ fn runs(training: &[Row], validation: &[Row], period_s: f64) -> Vec<Run> {
     let parts = [training, validation].into_iter();
     let found: Vec<&[Row]> = parts.flat_map(|part| part.chunk_by(follows)).collect();
     let rows: usize = found.iter().map(|rows| rows.len()).sum();
+    // Otherwise three drives of one length are three runs, of which no half knows enough.
+    let few = found.len() < 8;
     // Eight pieces at least, but none shorter than the second horizon.
     let shortest = (f64::from(HORIZONS_S[1]) / period_s).ceil() as usize + 1;
     let longest = (rows / 8).max(shortest).max(1);
     let cut = found.into_iter().flat_map(|rows| {
-        let pieces = if rows.len() > 4 * longest { rows.len() / longest } else { 1 };
-        rows.chunks(rows.len().div_ceil(pieces).max(1))
+        let pieces = if few || rows.len() > 4 * longest { rows.len() / longest } else { 1 };
+        rows.chunks(rows.len().div_ceil(pieces.max(1)).max(1))
     });
     let usable = |row: &&Row| row.target_w.is_finite();
     cut.filter(|rows| rows.iter().any(|row| usable(&row)))

@@ -12,6 +12,7 @@ mod recipe;
 #[cfg(test)]
 mod reference;
 mod report;
+mod ridge;
 mod saved;
 mod score;
 mod settings;

@@ -1,5 +1,6 @@
 //! The trained network and its scores on held-out rows.
 
+use joulebus_energy::EnergyModel;
 use joulebus_predictor::training::{SIMULATED, TrainedRows};
 use joulebus_predictor::{
     Activation, FeatureSet, Features, INPUTS, Linear, ModelCard, Network, Normalisation,
@@ -40,7 +41,7 @@ pub(super) fn finished(
         step_s: (settings.source != SIMULATED && dataset.period_s > 0.0)
             .then_some(dataset.period_s),
         linear: linear(dataset),
-        energy: energy_model(dataset, feature_set),
+        energy: energy(dataset, settings),
         ..ModelCard::new(TrainingRange::of(feature_set, rows))
     };
     // The final arithmetic gives the scores, so the network is first built without them.
@@ -50,6 +51,18 @@ pub(super) fn finished(
     let share = if settings.source == SIMULATED { at_row_below } else { quantile };
     (card.scores, card.residual) = scored_with(&unscored, &dataset.held_out, share);
     Ok(Network::new(parameters, card)?)
+}
+
+/// The energy model, with what the recipe states of the recordings.
+fn energy(dataset: &Dataset, settings: &TrainSettings) -> Option<EnergyModel> {
+    let mut energy = energy_model(dataset, settings.feature_set)?;
+    if settings.source == SIMULATED {
+        // Files of simulated robots have the bytes that they had.
+        return Some(EnergyModel { ridge: None, recorded_w: None, limits: Vec::new(), ..energy });
+    }
+    energy.limits.extend(&settings.limits);
+    energy.hotel_w = settings.hotel_w;
+    Some(energy)
 }
 
 /// The linear baseline fitted on the training rows, with its score on the held-out rows. `None` if

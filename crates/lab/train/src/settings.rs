@@ -1,5 +1,6 @@
 //! Training settings.
 
+use joulebus_energy::Limit;
 use joulebus_predictor::FeatureSet;
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +39,13 @@ pub struct TrainSettings {
     pub second_moment: f64,
     /// Adam's ε, above 0 and up to 1.
     pub epsilon: f64,
+    /// What the recordings cannot show and training cannot see: `measured_velocities` if the
+    /// commands are measured velocities, `drive_power` if the power is that of the drives alone.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub limits: Vec<Limit>,
+    /// Power that the robot draws beside what was recorded, W, at least 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hotel_w: Option<f32>,
 }
 
 impl Default for TrainSettings {
@@ -56,6 +64,8 @@ impl Default for TrainSettings {
             first_moment: 0.9,
             second_moment: 0.999,
             epsilon: 1e-8,
+            limits: Vec::new(),
+            hotel_w: None,
         }
     }
 }
@@ -92,6 +102,7 @@ impl TrainSettings {
             epsilon,
             ..
         } = *self;
+        let hotel_w = f64::from(self.hotel_w.unwrap_or(0.0));
         let (rows, [epochs, waited]) = (batch as f64, [max_epochs, patience].map(f64::from));
         let checks = [
             ("dropout", dropout, share(dropout), SHARE),
@@ -102,6 +113,7 @@ impl TrainSettings {
             ("first_moment", first_moment, share(first_moment), SHARE),
             ("second_moment", second_moment, share(second_moment), SHARE),
             ("epsilon", epsilon, small(epsilon), SMALL),
+            ("hotel_w", hotel_w, (0.0..=1e6).contains(&hotel_w), "0 to 1000000"),
         ];
         match checks.into_iter().find(|(_, _, sound, _)| !sound) {
             None => Ok(()),

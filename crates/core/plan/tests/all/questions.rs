@@ -81,7 +81,11 @@ fn questions_and_replies_survive_their_payloads() {
     robots.state.flags |= plan_state_flag::OUTSIDE_TRAINING
         | plan_state_flag::ALARM_IMPLAUSIBLE
         | plan_state_flag::ALARM_NO_DATA;
-    for question in questions() {
+    // Faster than the training data.
+    let (v_mps, omega_radps) = (vec![0.25; 20], vec![0.0; 20]);
+    let fast = Plan::WhatIf { robot: 7, candidates: 2, period_s: 0.1, v_mps, omega_radps };
+    let fast = Question { plan: fast, coverage: 0.9, power: true, moments: 0 };
+    for question in questions().into_iter().chain([fast.clone()]) {
         let (header, values) = question.encode(FLEET).unwrap();
         assert_eq!(Question::decode(&header, &values, FLEET).as_ref(), Ok(&question));
         let moments = question.moments;
@@ -91,7 +95,13 @@ fn questions_and_replies_survive_their_payloads() {
         let (mut header, mut words) = (AnswerHeader::default(), Vec::new());
         header.schema = SCHEMA_VERSION;
         reply.encode(&mut header, &mut words);
+        let outside = reply.rows[0].answer.caveats.outside;
+        assert_eq!(outside.is_some(), question == fast, "{question:?}");
         assert_eq!(Reply::decode(&header, &words, moments), Ok(reply), "{question:?}");
+        // A worker of an earlier version sends no reasons, and a capture keeps none.
+        words.truncate(8 * header.rows as usize + (header.powers as usize).div_ceil(2));
+        let earlier = Reply::decode(&header, &words, moments).unwrap();
+        assert_eq!(earlier.rows[0].answer.caveats.outside, None);
     }
 }
 

@@ -1,7 +1,7 @@
 //! Answers are right if everything is known, and never yes if something is not.
 
 use crate::world::{PERIOD_NS, Rows, fleet, model, platform};
-use joulebus_energy::{Commands, EnergyModel, HORIZONS_S};
+use joulebus_energy::{Commands, EnergyModel, HORIZONS_S, Limit};
 use joulebus_plan::{
     Answer, AskError, Candidates, Differs, Fleet, Frames, Path, PathError, Plan, Platform, Point,
     Question, Robot, RobotRows, Trip, Unknown, Verdict, rank, rank_each,
@@ -160,6 +160,58 @@ fn what_is_not_known_of_a_plan_costs_what_the_platform_can_draw_and_a_weak_state
     let answer = straight(&rows.robot(&bare), 0.1, 300);
     assert_eq!((answer.verdict, answer.probability), (Verdict::Yes, None));
     assert!(answer.energy.expect("known").hi_j >= 199.0, "{answer:?}");
+}
+
+#[test]
+fn a_step_that_no_model_knows_is_bounded_by_what_was_recorded_and_named() {
+    let rows = Rows::with_usable(30_000.0);
+    let fleet = fleet_with(EnergyModel { recorded_w: Some([2.5, 6.0]), ..model() });
+    let robot = rows.robot(&fleet);
+    let outside = straight(&robot, 0.25, 300);
+    let energy = outside.energy.expect("known");
+    // 2.5 to 6 W for 10 s, a fifth more as the robot draws at rest, and the errors of known steps.
+    // The platform may draw 20 W.
+    assert!((60.0..80.0).contains(&energy.hi_j) && energy.lo_j > 15.0, "{outside:?}");
+    let words = outside.caveats.to_string();
+    assert!(
+        words.contains("300 steps") && words.contains("v is 0.25 m/s, known from −0.2 to 0.2"),
+        "{words}"
+    );
+    let advised_mps = 0.199;
+    assert!(words.contains(&format!("inside at {advised_mps} m/s")), "{words}");
+    assert!(!straight(&robot, advised_mps, 300).caveats.any());
+    let json = serde_json::to_value(outside.caveats).expect("JSON");
+    assert_eq!(json["outside"]["quantity"], "velocity", "{json}");
+    // The platform's limits hold where what was recorded reaches beyond them.
+    let fleet = fleet_with(EnergyModel { recorded_w: Some([-90.0, 900.0]), ..model() });
+    let energy = straight(&rows.robot(&fleet), 0.25, 300).energy.expect("known");
+    assert!(energy.lo_j >= 0.0 && energy.hi_j < 250.0, "{energy:?}");
+}
+
+#[test]
+fn an_answer_says_what_the_recordings_of_its_model_cannot_show() {
+    let rows = Rows::with_usable(30_000.0);
+    let asked = |limits: &[Limit], hotel_w, v_mps| {
+        let fleet = fleet_with(EnergyModel { limits: limits.to_vec(), hotel_w, ..model() });
+        let answer = straight(&rows.robot(&fleet), v_mps, 300);
+        let names: Vec<&str> = answer.caveats.limits.names().collect();
+        (answer.verdict, names, answer.energy.expect("known").mean_j)
+    };
+    let (_, _, plain_j) = asked(&[], None, 0.1);
+    let drive = [Limit::DrivePower, Limit::NoTurns];
+    for (limits, v_mps, verdict, names) in [
+        (&[Limit::MeasuredVelocities][..], 0.1, Verdict::Tight, &["measured_velocities"][..]),
+        (&[Limit::NoVelocities], 0.1, Verdict::Tight, &["no_velocities"]),
+        // A robot at rest asks nothing of them.
+        (&[Limit::MeasuredVelocities, Limit::NoVelocities], 0.0, Verdict::Yes, &[]),
+        // The battery's readings have no hotel load either.
+        (&drive, 0.1, Verdict::Yes, &["drive_power"]),
+    ] {
+        let (found, met, _) = asked(limits, None, v_mps);
+        assert_eq!((found, &met[..]), (verdict, names), "{limits:?}");
+    }
+    let (_, met, energy_j) = asked(&drive, Some(2.0), 0.1);
+    assert!(met.is_empty() && (energy_j - plain_j - 20.0).abs() < 0.01, "{energy_j} {plain_j}");
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! The energy model that training stores.
 
 use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
-use joulebus_energy::{CommandModel, Commands, EnergyModel, EnergySample, EnergyState};
+use joulebus_energy::{CommandModel, Commands, EnergyModel, EnergySample, EnergyState, Limit};
 use joulebus_predictor::{FeatureSet, INPUTS, LAGS, features};
 use joulebus_statistics::noise::Noise;
 use joulebus_train::energy_model;
@@ -52,8 +52,8 @@ impl Robot {
             .collect()
     }
 
-    /// Forecast and measured energy of `steps` after `from`, and whether the interval contains it.
-    fn judge(&self, model: &EnergyModel, from: usize, steps: usize) -> (f64, f64, bool) {
+    /// The state with the readings up to a step.
+    fn after(&self, model: &EnergyModel, from: usize) -> EnergyState {
         let mut state = EnergyState::new(0);
         for at in 0..=from {
             let (v_mps, omega_radps) = self.commands[at];
@@ -66,6 +66,12 @@ impl Robot {
             };
             state.observe(model, &sample);
         }
+        state
+    }
+
+    /// Forecast and measured energy of `steps` after `from`, and whether the interval contains it.
+    fn judge(&self, model: &EnergyModel, from: usize, steps: usize) -> (f64, f64, bool) {
+        let state = self.after(model, from);
         let plan: (Vec<f32>, Vec<f32>) = self.commands[from..from + steps].iter().copied().unzip();
         let plan = commands(&plan.0, &plan.1);
         let forecast = model.forecast(&state, plan);
@@ -143,7 +149,8 @@ fn what_differs_between_robots_is_not_attributed_to_commands() {
     let (v_mps, omega_radps) = ([0.1f32; 50], [0.4f32; 50]);
     let moving = commands(&v_mps, &omega_radps);
     let at_rest = commands(&[0.0; 50], &[0.0; 50]);
-    let state = EnergyState::new(0);
+    // Of a robot whose level is known.
+    let state = robots[3].after(&model, 1_000);
     let ratio = model.forecast(&state, moving).energy_j / model.forecast(&state, at_rest).energy_j;
     let expected = true_w((0.1, 0.4)) / true_w((0.0, 0.0));
     assert!((ratio / expected - 1.0).abs() < 0.1, "{ratio}, {expected}");
@@ -260,6 +267,80 @@ fn the_fewer_the_recordings_the_wider_are_the_intervals_and_pieces_of_one_are_no
     assert!(three > 0.3, "{three}: another drive may differ by 30 %");
     // Known to the tables of Student's distribution: 2.92 at 2 degrees of freedom, times 0.3 and √2.
     assert!((one / (2.92 * 0.3 * 2f32.sqrt()) - 1.0).abs() < 0.05, "{one}");
+}
+
+/// Drives of a skid-steer robot, which draws more the tighter it turns and less the faster it is.
+fn arcs(numbers: std::ops::Range<u64>, v_mps: [f64; 2]) -> Vec<Robot> {
+    let drive = |number| {
+        let mut robot = Robot::new(number, 1.0, 800);
+        let mut noise = Noise::new(6, number);
+        for at in 0..robot.commands.len() {
+            if at % 60 == 0 {
+                robot.commands[at].0 = noise.between(v_mps[0], v_mps[1]) as f32;
+                robot.commands[at].1 = noise.between(-1.0, 1.0) as f32;
+            } else {
+                robot.commands[at] = robot.commands[at - 1];
+            }
+            let (v, omega) = robot.commands[at];
+            let noise = 1.0 + 0.03 * noise.normal() as f32;
+            robot.power_w[at] = (100.0 + 150.0 * omega.abs() - 80.0 * v) * noise;
+        }
+        robot
+    };
+    numbers.map(drive).collect()
+}
+
+/// Asked energy of a whole drive before its first reading, its interval, and the measured one, J.
+fn asked(model: &EnergyModel, robot: &Robot) -> ([f64; 3], f64) {
+    let (v_mps, omega_radps): (Vec<f32>, Vec<f32>) = robot.commands.iter().copied().unzip();
+    let forecast = model.forecast(&EnergyState::new(0), commands(&v_mps, &omega_radps));
+    let end = |p| f64::from(forecast.quantile_j(p).expect("known"));
+    let measured = robot.power_w.iter().map(|power_w| f64::from(power_w * PERIOD_S)).sum();
+    ([forecast.energy_j.into(), end(0.05), end(0.95)], measured)
+}
+
+#[test]
+fn a_drive_that_is_asked_before_its_first_reading_costs_what_its_commands_say() {
+    for drives in [3, 8] {
+        let model = made(&arcs(0..drives, [0.0, 0.8]));
+        let plain = EnergyModel { ridge: None, ..model.clone() };
+        let ([mut with, mut without], mut inside) = ([0.0; 2], 0);
+        for robot in arcs(100..120, [0.0, 0.8]) {
+            let ([energy_j, lo_j, hi_j], measured_j) = asked(&model, &robot);
+            with += (energy_j / measured_j - 1.0).abs() / 20.0;
+            without += (asked(&plain, &robot).0[0] / measured_j - 1.0).abs() / 20.0;
+            inside += usize::from((lo_j..=hi_j).contains(&measured_j));
+        }
+        println!(
+            "{drives} drives: {with:.3}, without the regression {without:.3}, {inside} inside"
+        );
+        assert!(with < 0.04 && with < 0.5 * without, "{drives}: {with} {without}");
+        assert!(inside >= 17, "{drives}: {inside}");
+    }
+}
+
+#[test]
+fn a_model_states_what_was_recorded_and_what_its_recordings_cannot_show() {
+    let robots = arcs(0..6, [0.0, 0.3]);
+    let model = made(&robots);
+    assert_eq!(model.limits, []);
+    let [lowest, highest] = model.recorded_w.expect("known");
+    assert!((70.0..130.0).contains(&lowest) && (200.0..260.0).contains(&highest), "{model:?}");
+    // At twice the speed it is outside, and what is drawn lies within the bounds.
+    let fast = &arcs(50..51, [0.6, 0.8])[0];
+    let (v_mps, omega_radps): (Vec<f32>, Vec<f32>) = fast.commands.iter().copied().unzip();
+    let forecast = model.forecast(&EnergyState::new(0), commands(&v_mps, &omega_radps));
+    let drawn_w = asked(&model, fast).1 / f64::from(forecast.duration_s);
+    let [lowest, _, highest] = forecast.outside_w.expect("known");
+    assert!(f64::from(lowest) <= drawn_w && drawn_w <= f64::from(highest));
+    assert!(forecast.steps_outside > 700, "{forecast:?}");
+    // Robots that never turn, and recordings without velocities.
+    let mut straight = arcs(0..6, [0.0, 0.3]);
+    straight.iter_mut().flat_map(|robot| &mut robot.commands).for_each(|command| command.1 = 0.0);
+    assert_eq!(made(&straight).limits, [Limit::NoTurns]);
+    let without = energy_model(&dataset(&robots), FeatureSet::PowerOnly).expect("enough");
+    assert_eq!((without.limits, without.ridge), (vec![Limit::NoVelocities], None));
+    assert!(without.recorded_w.is_some());
 }
 
 #[test]
