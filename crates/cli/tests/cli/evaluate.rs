@@ -289,6 +289,43 @@ fn the_scores_of_shipped_models_in_documents_are_those_that_eval_prints() {
 }
 
 #[test]
+fn the_trips_of_recorded_drives_in_the_page_are_those_that_eval_prints() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let Some(data) = shared("data") else {
+        return;
+    };
+    let page = fs::read_to_string(root.join("docs/explanation/where-to-use-it.md")).unwrap();
+    for (name, recordings) in [
+        ("Husky, wet grass", "husky_commanded/wetgrass*"),
+        ("Husky, wheels up", "husky_commanded/wheels_up*"),
+        ("Warthog, grass", "warthog_commanded/*.csv.gz"),
+    ] {
+        let pattern = data.join(recordings);
+        let report = json(&done(["eval", "--trips", text(&pattern), "--format", "json"]));
+        assert_eq!(
+            report["trips"].as_array().unwrap().len(),
+            report["drives"][0].as_u64().unwrap() as usize
+        );
+        let rows = report["rows"].as_array().unwrap();
+        let is_whole = |row: &&Value| row["length_s"].is_null() && row["left_out"] == "drive";
+        let row = rows.iter().find(is_whole).unwrap();
+        let percent = |value: &Value| {
+            if value.is_null() { "–".to_owned() } else { format!("{} %", shown(value, 100.0, 1)) }
+        };
+        let others = row["others"].as_array().unwrap();
+        let mut cells = vec![name.to_owned(), row["trips"].to_string(), percent(&row["mape"])];
+        cells.extend(others.iter().map(percent));
+        cells.push(percent(&row["coverage"]));
+        cells.push(shown(&row["score"], 1.0, 2));
+        cells.extend(["right_yes", "wrong_yes_bound"].map(|key| percent(&row[key])));
+        let expected = format!("| {} |", cells.join(" | "));
+        assert!(page.contains(&expected), "docs/explanation/where-to-use-it.md lacks\n{expected}");
+    }
+    let twice = output(["eval", "--trips", text(&data), "--model", MODELS[0]]).exits(2);
+    assert_contains(&stderr(&twice), ["--trips"]);
+}
+
+#[test]
 fn the_scores_of_the_simulated_model_in_the_readme_are_those_of_its_file() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
     let scores = json(&done(["model", "info", "builtin:gternal-sim", "--format", "json"]));

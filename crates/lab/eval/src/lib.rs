@@ -9,5 +9,6 @@ pub mod online_learning;
 mod report;
 pub mod score;
 pub mod training_data;
+pub mod trips;
 
 pub use report::EvalReport;

@@ -5,7 +5,8 @@ mod subject;
 use std::path::{Path, PathBuf};
 
 use joulebus_eval::EvalReport;
-use joulebus_eval::score::{Options, ScoreError, score_reported};
+use joulebus_eval::score::{Options, Recording, ScoreError, score_reported};
+use joulebus_eval::trips::trips;
 use joulebus_models::load_models;
 use joulebus_predictor::Model;
 use joulebus_program::exit::Outcome;
@@ -25,7 +26,8 @@ pub(crate) use subject::{Selection, usage};
     joulebus eval --model without-ice.safetensors husky/ --leave-out ICE\n  \
     joulebus eval --model my.safetensors t6.npy --fit t1.npy t2.npy t3.npy t4.npy\n  \
     joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n  \
-    joulebus eval --model my.safetensors recordings/ --split trial --energy\n\n\
+    joulebus eval --model my.safetensors recordings/ --split trial --energy\n  \
+    joulebus eval --trips recordings/\n\n\
     Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
     with its own forecasts and the true commands. MAE is in W. Skill is 1 - squared error over \
     that of persistence: above 0 is better than repeating the last reading. [lo, hi] are \
@@ -40,6 +42,10 @@ pub(crate) use subject::{Selection, usage};
 pub(crate) struct Args {
     #[command(flatten)]
     asked: Selection,
+    /// Instead: ask about each recorded drive at its beginning from its commands alone, let it drive,
+    /// and compare. Each drive and each group (a floor or a day) is left out of the training in turn
+    #[arg(long, conflicts_with_all = ["model", "split", "leave_out", "fit", "energy"])]
+    trips: bool,
     /// A model file, for all platforms [default: as in the config]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
@@ -55,6 +61,14 @@ impl Args {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.asked.config()?;
+    if args.trips {
+        let sections = args.asked.sections(&config, true)?;
+        let implausible = args.asked.judge(&sections)?;
+        let recordings = sections.iter().flat_map(|section| section.recordings());
+        let recordings: Vec<Recording> = recordings.cloned().collect();
+        report(output, &trips(&recordings)?, implausible)?;
+        return Ok(Outcome::Done);
+    }
     let named = args.model.as_deref().map(load).transpose()?;
     let models = match &named {
         None => load_models(&config)?,

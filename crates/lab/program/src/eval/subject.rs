@@ -88,6 +88,10 @@ impl Section {
         }
     }
 
+    pub(crate) fn recordings(&self) -> &[Recording] {
+        &self.recordings
+    }
+
     pub(crate) fn name(&self) -> &str {
         let platform = self.platform.as_ref();
         platform.map_or("recorded", |platform| &platform.name)

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use joulebus_energy::Limit;
 use joulebus_predictor::{FEATURE_NAMES, Network};
 use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
@@ -49,6 +50,8 @@ struct ModelReport {
     power_std_w: f32,
     residual: ResidualReport,
     scores: ScoreReport,
+    /// What the recordings cannot show of plans.
+    limits: Vec<Limit>,
 }
 
 #[derive(Debug, Serialize)]
@@ -150,6 +153,7 @@ impl ModelReport {
                 q95_w: card.residual.q95_w,
             },
             scores: ScoreReport::new(network),
+            limits: card.energy.as_ref().map_or_else(Vec::new, |energy| energy.limits.clone()),
         }
     }
 }
@@ -188,6 +192,10 @@ impl fmt::Display for ModelReport {
         let ResidualReport { std_w, q05_w, q95_w } = self.residual;
         writeln!(out, "residuals     deviation {std_w:.4} W, 90 % in {q05_w:.4} to {q95_w:.4} W")?;
         writeln!(out, "scores        {}", self.scores)?;
+        if !self.limits.is_empty() {
+            let limits: Vec<String> = self.limits.iter().map(|limit| limit.to_string()).collect();
+            writeln!(out, "limits        {}", limits.join(", "))?;
+        }
         writeln!(
             out,
             "\n{:16} {:>12} {:>12} {:>12} {:>12}",
