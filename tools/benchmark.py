@@ -18,7 +18,7 @@ import tempfile
 
 sys.path.insert(0, str(pathlib.Path(__file__).resolve().parent))
 from pinned_environment import python_of  # noqa: E402
-from recorded_models import FOLDERS, ROOT, arguments, program  # noqa: E402
+from recorded_models import DATA, ROOT, arguments, program  # noqa: E402
 
 PACKAGES = ["lightgbm==4.7.0", "numpy==2.4.6", "scipy==1.17.1"]
 SURFACE = "one_surface_type_{}_surface_exp"
@@ -56,7 +56,7 @@ def held_out(robot, left_out, folder, trained):
 
 def run_task(task, given, lab, boosting, place):
     robot, left_out = task.split("/")[0], TASKS[task]
-    folder, model = given.data / FOLDERS[robot], place / "model.safetensors"
+    folder, model = given.data / DATA[robot][0], place / "model.safetensors"
     leave_out = [] if left_out is None else ["--leave-out", ",".join(left_out)]
     recipe = ["--recipe", ROOT / f"configs/recipes/{robot}.toml"]
     trained = report(lab, "--format", "json", "train", "trials", folder, *recipe, *leave_out, "--out", model)

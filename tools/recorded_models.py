@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Makes the models of real robots again: configs/models/{husky,robotino,rover}.safetensors.
+"""Makes the models of real robots again: configs/models/{husky,husky-grass,robotino,rover}.safetensors.
 
     python3 tools/recorded_models.py                  # from ../shared/data; ends with 1 if one has other bytes
     python3 tools/recorded_models.py DATA --write     # replaces them, after a change of the trainer or its format
     python3 tools/recorded_models.py --program P      # with this joulebus-lab instead of a release build
 
-DATA has the folders robotino, borealtc_husky and ase_rover. Their recipes are configs/recipes/NAME.toml, and
+DATA has the folders robotino, borealtc_husky, husky_commanded and ase_rover. Their recipes are configs/recipes/NAME.toml, and
 docs/reference/models.md has their cards. Standard library only.
 """
 import argparse
@@ -15,7 +15,13 @@ import sys
 import tempfile
 
 ROOT = pathlib.Path(__file__).resolve().parent.parent
-FOLDERS = {"robotino": "robotino", "husky": "borealtc_husky", "rover": "ase_rover"}
+# Folder of each, and which of its recordings.
+DATA = {
+    "robotino": ("robotino", "*.csv.gz"),
+    "husky": ("borealtc_husky", "*.csv.gz"),
+    "husky-grass": ("husky_commanded", "wetgrass_*.csv.gz"),
+    "rover": ("ase_rover", "*.csv.gz"),
+}
 
 
 def program(given):
@@ -39,10 +45,11 @@ def main():
     given = parser.parse_args()
     lab, others = program(given.program), 0
     with tempfile.TemporaryDirectory() as place:
-        for name, folder in FOLDERS.items():
+        for name, (folder, pattern) in DATA.items():
             made = pathlib.Path(place) / f"{name}.safetensors"
             recipe = ROOT / f"configs/recipes/{name}.toml"
-            subprocess.run([lab, "train", "trials", given.data / folder, "--recipe", recipe, "--out", made],
+            files = sorted((given.data / folder).glob(pattern))
+            subprocess.run([lab, "train", "trials", *files, "--recipe", recipe, "--out", made],
                            check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             shipped = ROOT / f"configs/models/{name}.safetensors"
             same = shipped.exists() and shipped.read_bytes() == made.read_bytes()

@@ -23,6 +23,7 @@ const MODELS: &[(&str, &[u8])] = &[
     ),
     ("robotino", include_bytes!("../configs/models/robotino.safetensors")),
     ("husky", include_bytes!("../configs/models/husky.safetensors")),
+    ("husky-grass", include_bytes!("../configs/models/husky-grass.safetensors")),
     ("rover", include_bytes!("../configs/models/rover.safetensors")),
 ];
 

@@ -162,7 +162,7 @@ fn the_root_is_the_users_own() {
 
 #[test]
 fn built_in_models_can_be_loaded_by_name() {
-    assert_eq!(builtin_models().count(), 6);
+    assert_eq!(builtin_models().count(), 7);
     for name in builtin_models() {
         let (_, bytes) = builtin_model(name).unwrap();
         let network = Network::from_safetensors(bytes).unwrap_or_else(|error| panic!("{error}"));
