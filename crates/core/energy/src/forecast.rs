@@ -162,7 +162,7 @@ impl CommandSum {
             self.fastest_radps = self.fastest_radps.max(motion.omega_radps.abs());
             let (ridge_w, leverage) = model.ridge_w(&motion);
             self.ridge.all_w += f64::from(ridge_w);
-            if reads_commands & (model.is_outside(&motion) | !(leverage <= REACH)) {
+            if reads_commands & model.lies_outside(&motion, leverage) {
                 outside += 1;
                 self.ridge.outside_w += f64::from(ridge_w);
                 self.ridge.outside_command_w += command_w;
@@ -387,6 +387,13 @@ impl EnergyModel {
         !inside
     }
 
+    /// True if a motion is outside the training data by itself, or by its leverage.
+    #[inline(always)]
+    fn lies_outside(&self, motion: &Motion, leverage: f32) -> bool {
+        let is_near = leverage <= REACH;
+        self.is_outside(motion) | !is_near
+    }
+
     /// The regression's power of a motion, W, and its leverage. 0 without a regression. The power is
     /// within what was recorded.
     #[inline(always)]
@@ -423,7 +430,7 @@ impl EnergyModel {
 
     /// The one or the other, and the factor of the regression's power.
     fn share(&self, inside: f32, level: &Level, motion: &Motion, leverage: f32) -> (f32, f32) {
-        match self.is_outside(motion) | !(leverage <= REACH) {
+        match self.lies_outside(motion, leverage) {
             true => (self.outside_share(), level_scale(level, inside)),
             false => (inside, 1.0),
         }

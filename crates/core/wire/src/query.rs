@@ -241,8 +241,7 @@ bits! {
         pub const ALARM_SOC_IMPLAUSIBLE: u16 = 1 << 13;
         /// The robot's alarm `Implausible` is raised.
         pub const ALARM_IMPLAUSIBLE: u16 = 1 << 14;
-        /// The recordings of the robot's model cannot show what the plan costs, or leave out the
-        /// hotel load.
+        /// The recordings of the robot's model cannot show what the plan costs in full.
         pub const MODEL_LIMIT: u16 = 1 << 15;
     }
 }

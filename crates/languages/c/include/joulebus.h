@@ -218,8 +218,7 @@
 #define JOULEBUS_ANSWER_ALARM_SOC_IMPLAUSIBLE 0x2000u
 /** The robot's alarm Implausible is raised. */
 #define JOULEBUS_ANSWER_ALARM_IMPLAUSIBLE 0x4000u
-/** The recordings of the robot's model cannot show what the plan costs, or leave out the
- *  hotel load. */
+/** The recordings of the robot's model cannot show what the plan costs in full. */
 #define JOULEBUS_ANSWER_MODEL_LIMIT 0x8000u
 
 #define JOULEBUS_QUALITY_UNKNOWN 0u
