@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod calibration;
+mod capacity;
 mod command;
 mod forecast;
 mod lasting;
@@ -17,6 +18,7 @@ mod state;
 pub use calibration::{
     CLASSES, Calibration, ERRORS, ErrorBounds, ErrorCounts, NewErrors, PARTS, PlatformErrors,
 };
+pub use capacity::{Capacity, MIN_DEPTH};
 pub use command::{COMBINED_TERMS, CommandModel, TERMS};
 pub use forecast::{CommandSum, Commands, EnergyForecast};
 pub use lasting::{Lasting, LastingPower};
