@@ -61,7 +61,10 @@ fn the_minutes_of_a_robot_whose_battery_ages_are_forecast_from_the_discharges_be
             println!("{part}, {count}: {name}: MAPE {error:.2} %, {long:.2} % too long");
         };
         of("learned", scores(&minutes, from, rule));
-        of("fixed, the mean of the first 20", scores(&minutes, from, |_| mean(&minutes[..LEARNED])));
+        of(
+            "fixed, the mean of the first 20",
+            scores(&minutes, from, |_| mean(&minutes[..LEARNED])),
+        );
         of("the last one", scores(&minutes, from, |at| minutes[at - 1]));
         of("the mean of the last five", scores(&minutes, from, |at| mean(&minutes[at - 5..at])));
     }
