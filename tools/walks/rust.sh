@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # From nothing to an alarm, as who writes a controller in Rust: programs of dist/, `joulebus new`, a
-# green page, 3 W too many, BiasHigh.
+# green page, 3 W too many, LevelHigh.
 #
 #     tools/walks/rust.sh
 #
@@ -46,6 +46,6 @@ step 'joulebus ask: yes' until_says ': yes$' joulebus ask --config "$config" --r
 # Its usual draw is known by then.
 step 'ten seconds later, robot 7 gets a load of 3 W' sleep 10
 touch loaded
-step 'BiasHigh of robot 7, which is promised within 6 s' until_says '"robot":7,"alarm":"BiasHigh"' curl -s "$page/api/v1/alarms"
-step 'its card' joulebus alarms --explain BiasHigh
+step 'LevelHigh of robot 7, which is promised within 6 s' until_says '"robot":7,"alarm":"LevelHigh"' curl -s "$page/api/v1/alarms"
+step 'its card' joulebus alarms --explain LevelHigh
 walk_says 'a green page, a yes, and an alarm that explains itself'

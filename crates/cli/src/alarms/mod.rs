@@ -28,8 +28,8 @@ pub(crate) use log::{AlarmLog, AlarmReport};
     joulebus alarms                                   of the running fleet, until Ctrl-C\n  \
     joulebus alarms --format json | jq .alarm\n  \
     joulebus alarms run.mcap                          history of a capture\n  \
-    joulebus alarms --explain BiasHigh                what it means and what to check\n  \
-    joulebus alarms --acknowledge 7 BiasHigh --by ann\n  \
+    joulebus alarms --explain LevelHigh               what it means and what to check\n  \
+    joulebus alarms --acknowledge 7 LevelHigh --by ann\n  \
     joulebus alarms --acknowledge 7 LevelHigh --new-normal    the load stays: compare with it\n  \
     joulebus alarms --on-alarm 'logger \"$JOULEBUS_ALARM of robot $JOULEBUS_ROBOT $JOULEBUS_CHANGE\"'\n\n\
     Live, each change is one line, or one object with --format json. WorkerGone and WorkerStale \

@@ -213,10 +213,10 @@ fn a_reader_that_starts_later_shows_when_an_alarm_was_raised_and_so_does_the_nex
 
 #[test]
 fn an_alarm_is_explained_by_its_name_in_any_case() {
-    let one = output(["alarms", "--explain", "biashigh"]);
+    let one = output(["alarms", "--explain", "levelhigh"]);
     assert_eq!(code(&one), 0, "{}", stderr(&one));
     let text = stdout(&one);
-    for part in ["BiasHigh (warn)", "meaning", "check", "alarms.cusum_limit"] {
+    for part in ["LevelHigh (warn)", "meaning", "check", "alarms.level_limit"] {
         assert!(text.contains(part), "{text}");
     }
     let all = json(&output(["alarms", "--format", "json", "--explain"]));

@@ -44,8 +44,7 @@ fn the_written_platform_has_the_limits_their_evidence_and_everything_else_as_bef
     assert!(after.warnings().is_empty(), "{:?}", after.warnings());
     let [old, new] = [&before, &after].map(|config| config.settings().platforms[0].clone());
     let limits = new.alarms.unwrap();
-    let values =
-        [limits.cusum_limit, limits.noise_limit, limits.mismatch_limit, limits.level_limit];
+    let values = [limits.noise_limit, limits.mismatch_limit, limits.level_limit];
     for (place, value) in values.into_iter().enumerate() {
         let stated = found["limits"][place]["value"].as_f64().unwrap();
         assert_eq!(value, stated as f32, "{found}");

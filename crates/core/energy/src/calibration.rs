@@ -19,7 +19,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::levels::{SHADOWS, SHADOWS_S};
-use crate::memory::{self, GROUPS, Memory, Shown};
+use crate::memory::{self, GROUPS, Memory, POWER, SCATTER, Shown, shown};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
@@ -72,14 +72,15 @@ pub(crate) const PULL: f32 = 65536.0;
 
 /// Sums over errors, which do not depend on the order in which they are added.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(bound(deserialize = "T: Deserialize<'de> + Default"))]
 pub struct ErrorCounts<T = i64> {
     /// Numbers of errors in each class.
     pub classes: [[T; CLASSES]; ERRORS],
     /// Growth of the error of outlooks with a larger share of the last reading and of the robot's
     /// own mean. Also the larger square of the two, in 1/65536.
     pub pulls: [[T; PARTS]; SHADOWS],
-    /// What the robots of each [group](crate::group_of) have shown. Older files have none.
-    #[serde(default)]
+    /// What the robots of each [group](crate::group_of) have shown. Older files have none, or less.
+    #[serde(default, deserialize_with = "memory::read_groups")]
     pub groups: [Shown<T>; GROUPS],
 }
 
@@ -122,6 +123,16 @@ pub struct NewErrors {
 }
 
 impl NewErrors {
+    /// What the robot has shown, with the scatter of its levels in that of the model, if it is
+    /// known: once a second.
+    pub fn shown_with(&self, scatter: Option<f32>) -> Shown {
+        let mut all = self.shown;
+        if let Some(scatter) = scatter.filter(|_| all[POWER][0] > 0) {
+            all[SCATTER] = shown(SCATTER, 1.0, scatter);
+        }
+        all
+    }
+
     /// Converts it to counts: those of a robot.
     pub fn counted(&self, robot: u32) -> ErrorCounts {
         let one = |class: &Option<u8>| {

@@ -29,7 +29,8 @@ pub struct Lasting {
     shares: [f32; SHADOWS],
     mean_w: f32,
     mean_share: f32,
-    spread_w: f32,
+    /// Deviation of the errors at the longest calibrated horizon, relative.
+    spread: f32,
     /// Middle and half width of the longest calibrated interval, relative.
     trained: (f32, f32),
 }
@@ -53,7 +54,7 @@ impl EnergyModel {
             shares: error_shares(longest_s),
             mean_w: self.command.mean_w,
             mean_share: self.mean_share,
-            spread_w: self.spread_at(longest_s) * self.command.mean_w,
+            spread: self.spread_at(longest_s),
             trained: quantiles::middle_and_half(&self.errors_at(longest_s)),
         })
     }
@@ -64,9 +65,8 @@ impl Lasting {
     /// platform has shown, with the robot's own factors of the bounds.
     ///
     /// The mean of the platform's robots is the prior of the robot's own over its longest level. The
-    /// bounds are
-    /// those of the longest calibrated horizon, as the robots of the platform have since widened
-    /// them. They are not narrowed: those errors are of known commands.
+    /// bounds are those of the longest calibrated horizon, as the robots of the platform have since
+    /// widened them. They are not narrowed: those errors are of known commands.
     #[inline(always)]
     pub fn of(
         &self,
@@ -79,10 +79,10 @@ impl Lasting {
         let (energy_j, time_s) =
             (if read { energy_j } else { 0.0 }, if read { time_s } else { 0.0 });
         let apart_w = (energy_j - fleet_w * time_s).abs() / time_s.max(f32::MIN_POSITIVE);
-        let beyond = (apart_w / self.spread_w - USUAL).max(0.0);
+        let beyond = (apart_w / (self.spread * fleet_w) - USUAL).max(0.0);
         let prior_s = PRIOR_S / (1.0 + beyond * beyond * time_s / (time_s + START_S));
         let mean_w = ((energy_j + prior_s * fleet_w) / (time_s + prior_s)).max(0.0);
-        let scale_w = mean_w + self.mean_share * (self.mean_w - mean_w);
+        let scale_w = mean_w + self.mean_share * (fleet_w - mean_w);
         // Sums over all watched horizons: an index that is not constant would keep the loop over
         // robots from becoming vectors.
         let (mut middle, mut half) = (0.0, 0.0);

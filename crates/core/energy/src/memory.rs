@@ -11,19 +11,27 @@
 // Several arrays are indexed alike.
 #![allow(clippy::needless_range_loop)]
 
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::{Deserialize, Deserializer, SeqAccess, Visitor};
+
 /// Groups of robots.
 pub const GROUPS: usize = 32;
 /// Groups that speak for a platform. The trained model stands for the missing ones.
 const QUORUM: f32 = 8.0;
 
 /// Quantities that are remembered: the place of each in [`Shown`].
-pub const SHOWN: usize = 3;
+pub const SHOWN: usize = 4;
 /// Seconds of a robot: their number, and their power in the platform's trained mean.
 pub(crate) const POWER: usize = 0;
 /// The first readings of a robot: their number, and the [excess](Memory::start_excess).
 const START: usize = 1;
 /// Squares of the energy that the commands explained, and its products with what was to explain.
 pub(crate) const TRUST: usize = 2;
+/// Seconds of a robot with known scatter of its levels: their number, and the standard deviation in
+/// that of the model.
+pub(crate) const SCATTER: usize = 3;
 
 /// Weight and sum of each quantity.
 pub type Shown<T = i64> = [[T; 2]; SHOWN];
@@ -31,11 +39,11 @@ pub type Shown<T = i64> = [[T; 2]; SHOWN];
 /// A weight or sum of 1, as an integer.
 const UNIT: f32 = 65536.0;
 /// Largest number that a robot may show.
-const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0];
+const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0, 64.0];
 /// Largest weight that a group remembers. Older parts fade: two hours of a robot, four starts.
-const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0];
-/// Weight with which a group counts half: 10 s of a robot, one start.
-const HALF: [f32; SHOWN] = [10.0, 1.0, 0.1];
+const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0, 7_200.0];
+/// Weight with which a group counts half: 2 s of a robot, one start, 10 s of scatter.
+const HALF: [f32; SHOWN] = [2.0, 1.0, 0.1, 10.0];
 
 /// A weight and a number as [`Shown`] has them. None of either if they are not finite.
 pub(crate) fn shown(quantity: usize, weight: f32, number: f32) -> [i64; 2] {
@@ -46,11 +54,49 @@ pub(crate) fn shown(quantity: usize, weight: f32, number: f32) -> [i64; 2] {
     [(UNIT * weight.clamp(0.0, most)) as i64, (UNIT * number.clamp(-most, most)) as i64]
 }
 
+/// Squares and products as [`TRUST`] has them. Both are reduced alike, so their ratio stays.
+pub(crate) fn shown_trust(square: f32, product: f32) -> [i64; 2] {
+    let most = MAX[TRUST];
+    let keeps = most / square.max(product.abs()).max(most);
+    shown(TRUST, keeps * square, keeps * product)
+}
+
 /// The first readings of a robot, whose forecasts without the last reading had this excess.
 pub fn shown_start(excess: f32) -> Shown {
     let mut all = Shown::default();
     all[START] = shown(START, 1.0, excess);
     all
+}
+
+/// Reads what groups have shown. Files of an older version lack the last quantities.
+pub(crate) fn read_groups<'de, T, D>(from: D) -> Result<[Shown<T>; GROUPS], D::Error>
+where
+    T: Deserialize<'de> + Default,
+    D: Deserializer<'de>,
+{
+    struct Group<T>(Shown<T>);
+    struct Visit<T>(PhantomData<T>);
+    impl<'de, T: Deserialize<'de> + Default> Visitor<'de> for Visit<T> {
+        type Value = Group<T>;
+
+        fn expecting(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(to, "at most {SHOWN} pairs of numbers")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut pairs: A) -> Result<Group<T>, A::Error> {
+            let mut shown = Shown::default();
+            for pair in &mut shown {
+                *pair = pairs.next_element()?.unwrap_or_default();
+            }
+            Ok(Group(shown))
+        }
+    }
+    impl<'de, T: Deserialize<'de> + Default> Deserialize<'de> for Group<T> {
+        fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+            from.deserialize_tuple(SHOWN, Visit(PhantomData))
+        }
+    }
+    <[Group<T>; GROUPS]>::deserialize(from).map(|groups| groups.map(|group| group.0))
 }
 
 /// The group of a robot. Multiplied by the golden ratio, neighbouring and equally spaced ids are
@@ -65,19 +111,21 @@ pub const fn group_of(robot: u32) -> usize {
 pub struct Memory {
     /// Known robots, at most [`GROUPS`].
     pub robots: f32,
-    /// Mean power of the robots, in the platform's trained mean.
+    /// Mean power of the robots, in the platform's trained mean: 1/4 to 4.
     pub power: f32,
     /// Trust in commands of a robot that has shown nothing yet, 0 to 1.
     pub command_trust: f32,
     /// Mean squared error of the robots' first forecasts without the last reading, above that of
     /// the last reading, in the model's variance: −2 to 2.
     pub start_excess: f32,
+    /// Scatter of the robots' levels of power, in that of the model's errors: 1/4 to 4.
+    pub scatter: f32,
 }
 
 impl Memory {
     /// Before the first robot.
     pub const TRAINED: Self =
-        Self { robots: 0.0, power: 1.0, command_trust: 1.0, start_excess: 0.0 };
+        Self { robots: 0.0, power: 1.0, command_trust: 1.0, start_excess: 0.0, scatter: 1.0 };
 
     /// Of the remembered weights and sums of each group.
     pub(crate) fn of(groups: &[Shown<f32>; GROUPS]) -> Self {
@@ -89,12 +137,17 @@ impl Memory {
             let most = MAX[quantity];
             (sum / weight.max(f32::MIN_POSITIVE)).clamp(-most, most)
         };
+        let ratio = |quantity: usize| {
+            Known::new(groups, quantity)
+                .mean_ratio(groups.each_ref().map(|shown| means(quantity, shown[quantity])))
+        };
         Self {
             robots: power.sum,
-            power: power.location(groups.each_ref().map(|shown| means(POWER, shown[POWER]))),
+            power: ratio(POWER),
             command_trust: trust.mean(1.0, groups.each_ref().map(|shown| trusts(shown[TRUST]))),
             start_excess: Known::new(groups, START)
                 .mean(0.0, groups.each_ref().map(|shown| means(START, shown[START]))),
+            scatter: ratio(SCATTER),
         }
     }
 
@@ -133,27 +186,31 @@ impl Known {
         sum / self.sum.max(QUORUM)
     }
 
-    /// The location of numbers about 1, some of which may be far off: a mean in which none counts
-    /// as farther from it than [`Known::REACH`] (Huber 1964).
-    fn location(&self, numbers: [f32; GROUPS]) -> f32 {
-        /// Enough to come from 1 to a fiftieth, or to a thousand.
-        const STEPS: usize = 64;
-        let per_weight = 1.0 / self.sum.max(QUORUM);
-        let mut location = 1.0f32;
-        for _ in 0..STEPS {
-            let reach = Self::REACH * location;
-            let mut pull = self.missing() * (1.0 - location).max(-reach).min(reach);
-            for group in 0..GROUPS {
-                let apart = (numbers[group] - location).max(-reach).min(reach);
-                pull += self.weights[group] * apart;
-            }
-            location += per_weight * pull;
+    /// The mean of ratios, of which no robot that draws four times as much moves more than
+    /// [`Known::MOVES`].
+    ///
+    /// A logarithm counts whole up to a distance from the trained one, and in part beyond it. The
+    /// more groups are known, the greater are both. With 29 the result is the geometric mean. Fewer
+    /// cannot be believed wholly: if all of them change one after the other, one of them moves the
+    /// mean by its part of the change at least.
+    fn mean_ratio(&self, ratios: [f32; GROUPS]) -> f32 {
+        /// Largest ratio, and the inverse of the least.
+        const MAX: f32 = 4.0;
+        let (number, ln_max) = (self.sum.max(QUORUM), libm::logf(MAX));
+        let share = (number * Self::MOVES / ln_max).min(1.0);
+        let slope = share * share * share;
+        let whole = 0.5 * ln_max * share * (1.0 + share) / (1.0 + share + share * share);
+        let mut sum = 0.0;
+        for group in 0..GROUPS {
+            let ln = libm::logf(ratios[group].max(1.0 / MAX).min(MAX));
+            let near = ln.max(-whole).min(whole);
+            sum += self.weights[group] * (near + slope * (ln - near));
         }
-        location
+        libm::expf(sum / number)
     }
 
-    /// Largest distance that counts, as a share of the location.
-    const REACH: f32 = 0.15;
+    /// Logarithm of 1.05, less the rounding.
+    const MOVES: f32 = 0.0487;
 }
 
 /// Trust in commands after sums of products and squares, from `prior` on.
@@ -218,13 +275,17 @@ mod tests {
     #[test]
     fn a_fleet_that_draws_something_else_is_believed_as_more_of_its_robots_are_known() {
         assert_eq!(of([], 1), Memory::TRAINED);
-        for power in [0.03, 0.5, 0.83, 1.4, 3.0, 20.0] {
-            let whole = of((0..24).map(|robot| (robot, power)), 7_200).power;
-            assert!((whole / power - 1.0).abs() < 0.02, "{power}: {whole}");
+        for power in [0.03, 0.3, 0.5, 0.83, 1.4, 3.0, 20.0f32] {
+            let limited = power.clamp(0.25, 4.0);
+            let whole = of((0..100).map(|robot| (robot, power)), 7_200).power;
+            assert!((whole / limited - 1.0).abs() < 0.02, "{power}: {whole}");
+            let eight = of((0..8).map(|robot| (robot, power)), 7_200).power;
+            let near = limited.ln().abs() < 0.18;
+            assert!(!near || (eight / limited - 1.0).abs() < 0.01, "{power}: {eight}");
             let mut before = 1.0;
-            for robots in [1, 2, 4, 8, 16] {
+            for robots in [1, 2, 4, 8, 16, 24] {
                 let found = of((0..robots).map(|robot| (robot, power)), 7_200).power;
-                let apart = |found: f32| (found.ln() - power.ln()).abs();
+                let apart = |found: f32| (found.ln() - limited.ln()).abs();
                 assert!(apart(found) <= apart(before) + 1e-4, "{robots} at {power}: {found}");
                 before = found;
             }
@@ -232,22 +293,60 @@ mod tests {
     }
 
     #[test]
-    fn one_robot_at_any_power_moves_the_mean_by_a_twentieth_however_long_it_runs() {
+    fn in_any_fleet_one_robot_at_four_times_its_power_moves_the_mean_by_a_twentieth() {
+        let mut state = 1u32;
+        let mut unit = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / (1 << 24) as f32
+        };
+        for case in 0..4_000 {
+            let robots = 1 + case % 41;
+            // Two halves that draw alike, up to thirty times apart, or all of them anything.
+            let clusters = [0, 1].map(|_| libm::expf(4.0 * unit() - 2.0));
+            let (split, spread) = (unit(), if case % 3 == 0 { 3.0 } else { 0.05 });
+            let mut fleet: Vec<(u32, f32)> = (0..robots)
+                .map(|robot| {
+                    let cluster = clusters[usize::from(unit() < split)];
+                    (robot, cluster * libm::expf(spread * (unit() - 0.5)))
+                })
+                .collect();
+            let seconds = [1, 10, 100, 7_200][case as usize / 41 % 4];
+            let usual = of(fleet.iter().copied(), seconds).power;
+            let moved = (unit() * robots as f32) as usize % fleet.len();
+            for factor in [0.25, 4.0] {
+                let before = fleet[moved].1;
+                fleet[moved].1 *= factor;
+                let by = of(fleet.iter().copied(), seconds).power / usual;
+                fleet[moved].1 = before;
+                assert!((1.0 / 1.05..=1.05).contains(&by), "{fleet:?}, {moved} by {factor}: {by}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_monitor_at_any_power_moves_the_mean_of_usual_robots_by_a_twentieth() {
         let spread = |robot: u32| 0.9 + 0.02 * (robot * 7 % 11) as f32;
-        for others in [0, 1, 3, 7, 12, 40] {
+        for others in [0, 1, 3, 7, 12, 31, 40] {
             let fleet = |last: f32, hours: i64| {
                 let all = (0..others).map(|robot| (robot, spread(robot)));
                 let long = std::iter::repeat_n((others, last), hours as usize);
                 of(all.chain(long), 3_600).power
             };
-            for hours in [1, 100] {
-                for factor in [-4.0, 0.0, 0.25, 4.0, 60.0] {
-                    let (usual, moved) = (fleet(1.0, 1), fleet(factor, hours));
-                    let by = (moved / usual - 1.0).abs();
-                    assert!(by <= 0.05, "{others} and one at {factor}: {usual} to {moved}");
-                }
+            for (hours, factor) in [-4.0, 0.0, 0.25, 4.0, 60.0].map(|factor| (100, factor)) {
+                let by = (fleet(factor, hours) / fleet(1.0, 1) - 1.0).abs();
+                assert!(by <= 0.05, "{others} and one at {factor}: {by}");
             }
         }
+    }
+
+    #[test]
+    fn a_large_product_is_reduced_with_its_square() {
+        for [square, product] in [[40.0, 20.0], [3.0, -60.0], [1.0, 0.5]] {
+            let [weight, sum] = shown_trust(square, product).map(|number| number as f32);
+            assert!((sum / weight - product / square).abs() < 1e-3, "{square} {product}");
+        }
+        assert_eq!(shown_trust(f32::NAN, 1.0), [0; 2]);
+        assert_eq!(shown_trust(1.0, f32::INFINITY), [0; 2]);
     }
 
     #[test]

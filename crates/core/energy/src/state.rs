@@ -10,7 +10,7 @@ use crate::calibration::{
 };
 use crate::command::{CommandModel, Motion};
 use crate::levels::{LEVELS, LEVELS_S, Level, NEWEST, Parts, SHADOWS, SHADOWS_S};
-use crate::memory::{POWER, Shown, TRUST, shown, trusted};
+use crate::memory::{POWER, Shown, TRUST, shown, shown_trust, trusted};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
@@ -505,7 +505,7 @@ impl EnergyState {
         let forecast_j = parts.level(trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
         let [square, product] = learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
-        for (sum, gained) in new[TRUST].iter_mut().zip(shown(TRUST, square, product)) {
+        for (sum, gained) in new[TRUST].iter_mut().zip(shown_trust(square, product)) {
             *sum += gained;
         }
         let (product, square) = (learned.trust_product, learned.trust_square);

@@ -52,10 +52,6 @@ pub struct IntervalSettings {
 pub struct AlarmSettings {
     /// Weight of the newest residual in the bias.
     pub bias_weight: f32,
-    /// Shift that the cumulative sums ignore, standard deviations.
-    pub cusum_slack: f32,
-    /// Cumulative sum at which a bias alarm is raised, standard deviations. Cleared below half.
-    pub cusum_limit: f32,
     /// Weight of the newest squared residual in the noise ratio.
     pub noise_weight: f32,
     /// Noise ratio at which `NoiseHigh` is raised. Cleared below half.
@@ -93,7 +89,6 @@ impl AlarmSettings {
     /// The limits that a platform may replace.
     pub const fn limits(&self) -> AlarmLimits {
         AlarmLimits {
-            cusum_limit: self.cusum_limit,
             noise_limit: self.noise_limit,
             mismatch_limit: self.mismatch_limit,
             level_limit: self.level_limit,
@@ -103,9 +98,9 @@ impl AlarmSettings {
     /// The settings of a platform: with its own limits, if it has any.
     #[must_use]
     pub fn of(&self, platform: &Platform) -> Self {
-        let AlarmLimits { cusum_limit, noise_limit, mismatch_limit, level_limit } =
+        let AlarmLimits { noise_limit, mismatch_limit, level_limit } =
             platform.alarms.unwrap_or(self.limits());
-        Self { cusum_limit, noise_limit, mismatch_limit, level_limit, ..*self }
+        Self { noise_limit, mismatch_limit, level_limit, ..*self }
     }
 }
 
@@ -137,8 +132,6 @@ impl FleetSettings {
             ("interval rate", self.interval.rate, bounds::INTERVAL_RATE),
             ("bias_weight", alarms.bias_weight, bounds::ALARM_WEIGHT),
             ("noise_weight", alarms.noise_weight, bounds::ALARM_WEIGHT),
-            ("cusum_slack", alarms.cusum_slack, bounds::CUSUM_SLACK),
-            ("cusum_limit", alarms.cusum_limit, bounds::CUSUM_LIMIT),
             ("noise_limit", alarms.noise_limit, bounds::NOISE_LIMIT),
             ("mismatch_limit", alarms.mismatch_limit, bounds::MISMATCH_LIMIT),
             ("level_limit", alarms.level_limit, bounds::LEVEL_LIMIT),
@@ -205,8 +198,6 @@ pub(crate) mod tests {
             interval: IntervalSettings { coverage: 0.9, rate: 0.2 },
             alarms: AlarmSettings {
                 bias_weight: 0.005,
-                cusum_slack: 1.0,
-                cusum_limit: 50.0,
                 noise_weight: 0.005,
                 noise_limit: 15.0,
                 mismatch_limit: 1.5,

@@ -58,8 +58,6 @@ pub struct Platform {
 /// Limits of the residual alarms, as in [`AlarmSettings`](crate::AlarmSettings).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct AlarmLimits {
-    /// Cumulative sum at which a bias alarm is raised, standard deviations.
-    pub cusum_limit: f32,
     /// Noise ratio at which `NoiseHigh` is raised.
     pub noise_limit: f32,
     /// Squared error over the expected one at which `ModelMismatch` is raised.
@@ -237,8 +235,7 @@ impl AlarmLimits {
         &self,
         check: impl Fn(&str, f64, RangeInclusive<f64>) -> Result<(), SettingsError>,
     ) -> Result<(), SettingsError> {
-        let [bias, noise, mismatch] = [self.cusum_limit, self.noise_limit, self.mismatch_limit];
-        check("alarms cusum_limit", bias.into(), bounds::CUSUM_LIMIT)?;
+        let [noise, mismatch] = [self.noise_limit, self.mismatch_limit];
         check("alarms noise_limit", noise.into(), bounds::NOISE_LIMIT)?;
         check("alarms mismatch_limit", mismatch.into(), bounds::MISMATCH_LIMIT)?;
         let level = self.level_limit.into();

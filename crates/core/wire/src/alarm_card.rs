@@ -151,23 +151,20 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "BiasHigh",
         level: Level::Warn,
-        meaning: "The robot draws persistently more than its commands and its model explain.",
-        check: "Look for a load, a slope, another floor, a dragging wheel, a worn motor, a device \
-             that was switched on. If the whole fleet raises it, train the model on newer \
-             recordings.",
-        keys: &["alarms.cusum_limit", "alarms.cusum_slack", SETTLE, RAISE],
-        found_within: "a second if the power doubles, minutes if it rises by a tenth (after the \
-            first 150 samples)",
+        meaning: "Retired: LevelHigh has replaced it. In captures of older versions it says that \
+            the robot drew persistently more than its commands and its model explained.",
+        check: "What LevelHigh says.",
+        keys: &[],
+        found_within: "never",
     },
     AlarmCard {
         name: "BiasLow",
         level: Level::Warn,
-        meaning: "The robot draws persistently less than its commands and its model explain.",
-        check: "Does it drive at all? Look for stalled drivers, a wheel in the air, commands that \
-            do not reach it. Was a load taken off? Is the gain of the power monitor right?",
-        keys: &["alarms.cusum_limit", "alarms.cusum_slack", SETTLE, RAISE],
-        found_within: "a second if the power halves, minutes if it falls by a tenth (after the \
-            first 150 samples)",
+        meaning: "Retired: LevelLow has replaced it. In captures of older versions it says that \
+            the robot drew persistently less than its commands and its model explained.",
+        check: "What LevelLow says.",
+        keys: &[],
+        found_within: "never",
     },
     AlarmCard {
         name: "NoiseHigh",
@@ -181,7 +178,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "ModelMismatch",
         level: Level::Warn,
-        meaning: "The network's forecasts are clearly worse than repeating the last reading.",
+        meaning: "The network's forecasts are clearly worse than repeating the last reading, or \
+            the robot draws four times the power of its model, or a quarter of it.",
         check: "Is it this robot's model, at this rate and in these units? `joulebus eval` compares \
              models on a recording of the robot. Meanwhile published forecasts give the network \
              little weight.",
@@ -267,9 +265,9 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         meaning: "The robot draws more than it did before for the same commands. The alarm stays \
             until the power is back, somebody acknowledges it as the new normal, or the worker \
             restarts. Meanwhile the worker does not learn the new level.",
-        check: "What has changed: a load, the floor or slope, a dragging wheel, a device that was \
-            switched on? If the change is intended, such as a payload, acknowledge it as the new \
-            normal.",
+        check: "Floor? Another floor or slope looks like a load. Otherwise: a load, a dragging \
+            wheel, a device that was switched on? If the change is intended, such as a payload, \
+            acknowledge it as the new normal.",
         keys: &["alarms.level_limit"],
         found_within: "seconds if the power doubles, ten seconds if it rises by two fifths, a \
             minute if it rises by 30 % a minute (after five seconds of known commands)",

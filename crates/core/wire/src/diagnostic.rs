@@ -36,9 +36,9 @@ rows! {
         pub residual_z: f32,
         /// Exponentially weighted mean of the residuals, W.
         pub bias_w: f32,
-        /// Cumulative sum against an upward shift, in standard deviations.
+        /// NaN: retired with BiasHigh.
         pub cusum_up: f32,
-        /// Cumulative sum against a downward shift, in standard deviations.
+        /// NaN: retired with BiasLow.
         pub cusum_down: f32,
         /// Exponentially weighted mean of the squared whitened residual: 1 for a healthy robot.
         pub noise_ratio: f32,
@@ -191,13 +191,14 @@ pub enum Alarm {
     StuckSensor,
     /// The same measurement has been repeated for too long.
     HeldTooLong,
-    /// Drawing persistently more than forecast.
+    /// Drew persistently more than forecast. Retired: this version never raises it.
     BiasHigh,
-    /// Drawing persistently less than forecast.
+    /// Drew persistently less than forecast. Retired: this version never raises it.
     BiasLow,
     /// Residuals scatter much more than in training.
     NoiseHigh,
-    /// The forecasts are clearly worse than repeating the last reading.
+    /// The forecasts are clearly worse than repeating the last reading, or the robot is of another
+    /// kind than those of the training.
     ModelMismatch,
     /// A feature lies outside the range the model was trained on.
     OutOfTraining,

@@ -33,7 +33,11 @@ pub const ANSWER_RULES: u32 = 6;
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
 /// where they do not.
 ///
-/// 9: a robot may say that it is switched off, persons state batteries, and capacity is learned.
+/// 8: a platform remembers what its robots have shown.
+///
+/// 9: levels of all robots are judged, by the scatter that the platform remembers. BiasHigh and
+/// BiasLow are retired. What one robot moves of the memory is bounded in any fleet. A robot may say
+/// that it is switched off, persons state batteries, and capacity is learned.
 pub const TICK_RULES: u32 = 9;
 
 /// Maximum number of values of a question.

@@ -342,8 +342,6 @@ impl Builder<'_> {
             },
             alarms: AlarmSettings {
                 bias_weight: number("alarms.bias_weight")?,
-                cusum_slack: number("alarms.cusum_slack")?,
-                cusum_limit: number("alarms.cusum_limit")?,
                 noise_weight: number("alarms.noise_weight")?,
                 noise_limit: number("alarms.noise_limit")?,
                 mismatch_limit: number("alarms.mismatch_limit")?,
@@ -441,7 +439,6 @@ impl Builder<'_> {
             own.or_else(|| fleet.single(&format!("alarms.{name}")))
         };
         Some(AlarmLimits {
-            cusum_limit: limit("cusum_limit")?,
             noise_limit: limit("noise_limit")?,
             mismatch_limit: limit("mismatch_limit")?,
             level_limit: limit("level_limit")?,

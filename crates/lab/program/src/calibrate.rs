@@ -35,8 +35,8 @@ use joulebus_program::utc::Utc;
     they are. The second half states the rate with an exact Poisson bound, widened where alarms \
     come in groups. A rate that needs longer recordings is refused (exit 1) with the hours needed. \
     --extrapolate continues the tail of what they show, and says so. Then faults are put into the \
-    second half. The report says how soon they are found, beside the textbook's CUSUM (limit 5) \
-    and limits of power and voltage.\n\
+    second half. The report says how soon they are found, beside limits of power and \
+    voltage.\n\
     --out writes the platform's file with these limits and their evidence, and overwrites nothing. \
     docs/measured/alarms.md has results.")]
 pub(crate) struct Args {
@@ -196,7 +196,6 @@ impl Args {
         }
         for limit in &found.limits {
             let key = match limit.key {
-                "cusum_limit" => "alarms.cusum_limit",
                 "noise_limit" => "alarms.noise_limit",
                 "mismatch_limit" => "alarms.mismatch_limit",
                 _ => "alarms.level_limit",

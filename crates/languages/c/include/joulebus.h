@@ -491,9 +491,9 @@ typedef struct joulebus_diagnostic {
     float residual_z;
     /** Exponentially weighted mean of the residuals, W. */
     float bias_w;
-    /** Cumulative sum against an upward shift, in standard deviations. */
+    /** NaN: retired with BiasHigh. */
     float cusum_up;
-    /** Cumulative sum against a downward shift, in standard deviations. */
+    /** NaN: retired with BiasLow. */
     float cusum_down;
     /** Exponentially weighted mean of the squared whitened residual: 1 for a healthy robot. */
     float noise_ratio;

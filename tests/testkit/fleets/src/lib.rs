@@ -62,8 +62,6 @@ pub fn settings(capacity: u32) -> FleetSettings {
         interval: IntervalSettings { coverage: 0.9, rate: 0.05 },
         alarms: AlarmSettings {
             bias_weight: 0.01,
-            cusum_slack: 0.5,
-            cusum_limit: 20.0,
             noise_weight: 0.01,
             noise_limit: 4.0,
             mismatch_limit: 2.0,

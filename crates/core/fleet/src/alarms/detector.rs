@@ -1,21 +1,19 @@
-//! Residual monitoring (bias by CUSUM, noise, model mismatch), and hysteresis for all alarms.
+//! Residual monitoring (noise, model mismatch), and hysteresis for all alarms.
 
 use joulebus_settings::AlarmSettings;
 use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Block, Lanes, put};
+use crate::state::added;
 
 /// Serial correlation above which whitening would only amplify noise.
 const MAX_CORRELATION: f32 = 0.9;
 
 /// Limit of residuals, W, and of standardised residuals. Without it, one absurd forecast would turn
-/// the sums into NaN, and no alarm would ever be raised again.
+/// the means into NaN, and no alarm would ever be raised again.
 const MAX_RESIDUAL: f32 = 1e6;
 
-/// The sums stay within this many times their limit, so that an alarm is cleared soon after its
-/// cause ends.
-const MAX_CUSUM: f32 = 1.2;
 /// Largest squared residual that the noise ratio believes: one step of the load is not noise.
 const MAX_NOISE_SQUARE: f32 = 300.0;
 /// The model is judged over this many times as many readings as the noise: few of them carry the
@@ -34,8 +32,6 @@ const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Detector {
     pub bias_w: f32,
-    pub cusum_up: f32,
-    pub cusum_down: f32,
     pub noise_ratio: f32,
     z_last: f32,
     z_square: f32,
@@ -76,8 +72,6 @@ impl Detector {
     pub(crate) fn new() -> Self {
         Self {
             bias_w: 0.0,
-            cusum_up: 0.0,
-            cusum_down: 0.0,
             noise_ratio: 1.0,
             z_last: 0.0,
             z_square: 1.0,
@@ -105,9 +99,6 @@ impl Detector {
         self.bias_w += settings.bias_weight * (residual_w - self.bias_w);
         let z = (residual_w * per_sigma).clamp(-MAX_RESIDUAL, MAX_RESIDUAL);
         let white = self.whiten(z, settings.bias_weight);
-        let ceiling = MAX_CUSUM * settings.cusum_limit;
-        self.cusum_up = (self.cusum_up + white - settings.cusum_slack).clamp(0.0, ceiling);
-        self.cusum_down = (self.cusum_down - white - settings.cusum_slack).clamp(0.0, ceiling);
         let square = (white * white).min(MAX_NOISE_SQUARE);
         self.noise_ratio += settings.noise_weight * (square - self.noise_ratio);
         let weight = settings.noise_weight / MISMATCH_MEMORY;
@@ -117,8 +108,7 @@ impl Detector {
         self.persistence_square += weight * (step * step - self.persistence_square);
     }
 
-    /// Removes the serial correlation from `z`: a cumulative sum of correlated residuals would
-    /// alarm on every slow wave.
+    /// Removes the serial correlation from `z`: a slow wave is not noise.
     #[inline(always)]
     fn whiten(&mut self, z: f32, weight: f32) -> f32 {
         let correlation =
@@ -135,10 +125,6 @@ impl Detector {
     pub(crate) fn conditions(&self, observed: u64, settings: &AlarmSettings) -> Conditions {
         let settled = observed >= settings.settle_samples.into();
         let mut conditions = Conditions::default();
-        let bias = settings.cusum_limit;
-        let (up, down) = (self.cusum_up, self.cusum_down);
-        conditions.between(up > bias, up > 0.5 * bias, Alarm::BiasHigh);
-        conditions.between(down > bias, down > 0.5 * bias, Alarm::BiasLow);
         let (ratio, noise) = (self.noise_ratio, settings.noise_limit);
         conditions.between(ratio > noise, ratio > 0.5 * noise, Alarm::NoiseHigh);
         let expected = self.persistence_square.max(MIN_MISMATCH_SQUARE);
@@ -197,8 +183,9 @@ impl Detector {
 #[repr(align(64))]
 pub(crate) struct DetectorLanes {
     pub bias_w: Lanes<f32>,
-    pub cusum_up: Lanes<f32>,
-    pub cusum_down: Lanes<f32>,
+    /// The two cumulative sums of older states.
+    #[serde(deserialize_with = "added::skip_cusum")]
+    cusum: (),
     pub noise_ratio: Lanes<f32>,
     z_last: Lanes<f32>,
     z_square: Lanes<f32>,
@@ -221,8 +208,6 @@ impl DetectorLanes {
     #[inline(always)]
     pub(crate) fn set_observed(&mut self, lane: usize, mask: bool, robot: &Detector) {
         put(&mut self.bias_w[lane], mask, robot.bias_w);
-        put(&mut self.cusum_up[lane], mask, robot.cusum_up);
-        put(&mut self.cusum_down[lane], mask, robot.cusum_down);
         put(&mut self.noise_ratio[lane], mask, robot.noise_ratio);
         put(&mut self.z_last[lane], mask, robot.z_last);
         put(&mut self.z_square[lane], mask, robot.z_square);
@@ -240,8 +225,6 @@ impl Block for DetectorLanes {
     fn get(&self, lane: usize) -> Detector {
         Detector {
             bias_w: self.bias_w[lane],
-            cusum_up: self.cusum_up[lane],
-            cusum_down: self.cusum_down[lane],
             noise_ratio: self.noise_ratio[lane],
             z_last: self.z_last[lane],
             z_square: self.z_square[lane],
@@ -269,8 +252,6 @@ mod tests {
 
     const SETTINGS: AlarmSettings = AlarmSettings {
         bias_weight: 0.01,
-        cusum_slack: 0.5,
-        cusum_limit: 20.0,
         noise_weight: 0.01,
         noise_limit: 4.0,
         mismatch_limit: 2.0,
@@ -308,17 +289,18 @@ mod tests {
     #[test]
     fn each_fault_raises_its_own_alarm_and_clears_when_it_ends() {
         type Fault = fn(f32) -> f32;
-        let cases: [(Fault, Alarm); 3] = [
-            (|unit| unit + 2.0, Alarm::BiasHigh),
-            (|unit| unit - 2.0, Alarm::BiasLow),
-            (|unit| 4.0 * unit, Alarm::NoiseHigh),
+        let cases: [(Fault, Option<Alarm>); 3] = [
+            (|unit| unit + 2.0, None),
+            (|unit| unit - 2.0, None),
+            (|unit| 4.0 * unit, Some(Alarm::NoiseHigh)),
         ];
         for (fault, alarm) in cases {
             let (mut detector, mut state) = (Detector::new(), 1);
             run(&mut detector, 5_000, |unit| unit, &mut state);
             assert_eq!(detector.raised, AlarmSet::default(), "false alarm before {alarm:?}");
             run(&mut detector, 300, fault, &mut state);
-            assert!(detector.raised.has(alarm), "{alarm:?}: {detector:?}");
+            let expected = alarm.map_or(AlarmSet::default(), |alarm| AlarmSet(0).with(alarm));
+            assert_eq!(detector.raised, expected, "{detector:?}");
             run(&mut detector, 5_000, |unit| unit, &mut state);
             assert_eq!(detector.raised, AlarmSet::default(), "{alarm:?} did not clear");
         }
@@ -332,8 +314,8 @@ mod tests {
             assert!(detector.error_square.is_finite(), "{detector:?}");
             run(&mut detector, 10_000, |unit| unit, &mut state);
             assert_eq!(detector.raised, AlarmSet::default(), "{detector:?}");
-            run(&mut detector, 300, |unit| unit + 2.0, &mut state);
-            assert!(detector.raised.has(Alarm::BiasHigh), "{detector:?}");
+            run(&mut detector, 300, |unit| 4.0 * unit, &mut state);
+            assert!(detector.raised.has(Alarm::NoiseHigh), "{detector:?}");
         }
     }
 

@@ -3,7 +3,9 @@
 //! The residuals cannot find a load for long, because the network reads the last readings and
 //! follows the load within a few of them. What is compared here reads no reading of the present:
 //! the mean power of the last seconds, and the power that the robot's *own level* expects for the
-//! commands of those seconds.
+//! commands of those seconds. For a platform whose energy model states no errors (untrained,
+//! persistence), commands count by their share of the largest allowed ones. Where the model reads no
+//! commands, all of them count alike.
 //!
 //! **Own level.** A line through the robot's levels so far: power over the power that the
 //! platform's energy model gives its commands. Of the slope, a priori half is the model's and half
@@ -13,8 +15,9 @@
 //!
 //! **Deviation.** The mean of 2 s, and that of 12 s, minus what is expected, relative to the
 //! expected power, in standard deviations of the robot's own levels. Those start as the platform's,
-//! from the errors of its energy model, and never fall below half of them. A quick mean needs
-//! [`QUICK`] of the limit, a slow one [`SLOW`] of it.
+//! and never fall below them. The platform's are those of the errors of its energy model, times the
+//! scatter that its robots [have shown](joulebus_energy::Memory::scatter) if it is above 1. A quick
+//! mean needs [`QUICK`] of the limit, a slow one [`SLOW`] of it, for [`HOLD_S`].
 //!
 //! **Nothing is learned away.** While an alarm is raised the own level is frozen. While the
 //! deviation is above [`CAREFUL_FROM`] of the limit it learns at an eighth of the rate.
@@ -25,20 +28,24 @@
 //! **Where levels come and go.** An alarm that ends by itself doubles the robot's variances
 //! ([`GROWTH`]): on changing ground it is raised a few times, and then more seldom.
 //!
-//! Not judged: unknown commands, charging, the first seconds after either, robots of a platform
-//! whose energy model states no errors (untrained, persistence).
+//! **Another kind.** A robot that has drawn [`UNLIKE`] times the power of its commands for a minute,
+//! or that part of it, has the model of another kind of robot: `ModelMismatch`.
+//!
+//! Not judged: unknown commands of a model that reads them, charging, the first seconds after
+//! either.
 
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 // The check in `clamp` and the two steps of `contains` are branches, with which it does not.
 #![allow(clippy::manual_clamp, clippy::manual_range_contains)]
 
-use joulebus_energy::EnergyModel;
-use joulebus_settings::AlarmSettings;
+use joulebus_energy::{EnergyModel, Memory};
+use joulebus_settings::{AlarmSettings, Platform};
 use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes, block};
+use crate::state::added;
 
 /// Time constants of the quick and the slow mean, s.
 const MEANS_S: [f32; 2] = [2.0, 12.0];
@@ -60,9 +67,6 @@ const SCATTER_FROM_S: f32 = 0.7;
 const PRIOR_S: [f32; 2] = [6.0, 12.0];
 /// Time in which levels are correlated, s.
 const CORRELATED_S: f32 = 3.0;
-/// A robot is not taken to be steadier than this share of its platform's standard deviation, and
-/// than [`LEAST`].
-const STEADIEST: f32 = 0.75;
 /// Smallest relative standard deviation.
 const LEAST: f32 = 0.02;
 /// A deviation counts as this many standard deviations at most when the scatter is learned.
@@ -71,8 +75,21 @@ const MAX_SCATTER: f32 = 3.0;
 const UNLIKE: f32 = 4.0;
 /// Least relative standard deviation of such a robot.
 const UNLIKE_SCATTER: f32 = 0.25;
-/// Powers are relative to this share of the platform's mean power at least.
+/// Powers are relative to this share of the platform's mean power at least. Of an untrained model,
+/// that is the largest power allowed.
 const FLOOR: f32 = 0.3;
+const UNTRAINED_FLOOR: f32 = 0.02;
+/// Relative standard deviations of the two means under an untrained model.
+const UNTRAINED_SPREAD: [f32; 2] = [0.1, 0.07];
+/// Seconds of the own level before it shows that the model is of another kind of robot.
+const KIND_S: f32 = 60.0;
+/// Share of [`UNLIKE`] below which that ends.
+const KIND_STAYS: f32 = 0.9;
+/// Seconds of learned scatter before a robot shows it to its platform.
+const SHOWS_S: f32 = 10.0;
+/// Time for which a deviation must stay beyond the limit, s: a load that comes and goes within a
+/// second is no fault.
+const HOLD_S: f32 = 3.0;
 /// Share of the limit below which an alarm ends.
 const HALF: f32 = 0.5;
 /// Share of the limit from which the own level and its scatter learn slowly, and that rate: in the
@@ -85,6 +102,7 @@ const GROWTH: f32 = 2.0;
 
 const HIGH: u32 = AlarmSet(0).with(Alarm::LevelHigh).0;
 const LOW: u32 = AlarmSet(0).with(Alarm::LevelLow).0;
+const KIND: u32 = AlarmSet(0).with(Alarm::ModelMismatch).0;
 
 /// Rules for the levels of a platform's robots.
 #[derive(Debug, Clone, Copy)]
@@ -94,24 +112,82 @@ pub(crate) struct LevelRules {
     floor_w: f32,
     /// Squared relative standard deviations of the platform's means.
     variances: [f32; 2],
+    command: CommandPower,
+}
+
+/// The power that levels take a command for.
+#[derive(Debug, Clone, Copy)]
+enum CommandPower {
+    /// The energy model's.
+    Model,
+    /// The same for all, W: the energy model reads none.
+    Constant(f32),
+    /// Of an untrained model, W: this at rest, and as much more at each of the largest allowed
+    /// velocities, m/s and rad/s.
+    Allowed(f32, [f32; 2]),
 }
 
 impl LevelRules {
-    /// `None` if the energy model states no errors.
-    pub(crate) fn new(
-        energy: &EnergyModel,
-        alarms: &AlarmSettings,
-        period_ns: u64,
-    ) -> Option<Self> {
-        (energy.calibrated > 0).then(|| Self {
+    const UNKNOWN: Self = Self {
+        limit: f32::INFINITY,
+        period_s: 0.0,
+        floor_w: 0.0,
+        variances: [1.0; 2],
+        command: CommandPower::Model,
+    };
+
+    pub(crate) fn new(energy: &EnergyModel, alarms: &AlarmSettings, platform: &Platform) -> Self {
+        let (is_trained, mean_w) = (energy.calibrated > 0, energy.command.mean_w);
+        let spread = |place: usize| {
+            if is_trained { energy.spread_at(MEANS_S[place]) } else { UNTRAINED_SPREAD[place] }
+        };
+        Self {
             limit: alarms.level_limit,
-            period_s: period_ns as f32 * 1e-9,
-            floor_w: FLOOR * energy.command.mean_w,
-            variances: MEANS_S.map(|mean_s| {
-                let spread = energy.spread_at(mean_s);
-                spread * spread
-            }),
-        })
+            period_s: platform.period_ns as f32 * 1e-9,
+            floor_w: mean_w * if is_trained { FLOOR } else { UNTRAINED_FLOOR },
+            variances: [0, 1].map(|place| spread(place) * spread(place)),
+            command: if !is_trained {
+                CommandPower::Allowed(mean_w, [platform.v_max_mps, platform.omega_max_radps])
+            } else if energy.command.reads_commands() {
+                CommandPower::Model
+            } else {
+                CommandPower::Constant(mean_w)
+            },
+        }
+    }
+
+    /// The rules where the platform's robots have shown this scatter.
+    #[inline(always)]
+    pub(crate) fn among(&self, memory: &Memory) -> Self {
+        let scatter = memory.scatter.max(1.0);
+        let square = scatter * scatter;
+        Self { variances: self.variances.map(|variance| square * variance), ..*self }
+    }
+
+    /// The power of a command: `model_w` is the energy model's. NaN if it is unknown.
+    #[inline(always)]
+    pub(crate) fn command_w(&self, (v_mps, omega_radps): (f32, f32), model_w: f32) -> f32 {
+        let known = v_mps.is_finite() & omega_radps.is_finite();
+        match self.command {
+            CommandPower::Model => {
+                if known {
+                    model_w
+                } else {
+                    f32::NAN
+                }
+            }
+            CommandPower::Constant(power_w) => power_w,
+            CommandPower::Allowed(rest_w, [v_max_mps, omega_max_radps]) => {
+                // A largest velocity of 0 allows 0 alone.
+                let share = |value: f32, most: f32| value.abs() / most.max(f32::MIN_POSITIVE);
+                let more = share(v_mps, v_max_mps) + share(omega_radps, omega_max_radps);
+                rest_w * (1.0 + if known { more } else { 0.0 })
+            }
+        }
+    }
+
+    const fn is_trained(&self) -> bool {
+        !matches!(self.command, CommandPower::Allowed(..))
     }
 }
 
@@ -156,6 +232,8 @@ pub(crate) struct Level {
     scatter_s: f32,
     /// Bits of [`AlarmSet`].
     pub raised: u32,
+    /// Time for which a deviation has been beyond the limit, s.
+    beyond_s: f32,
 }
 
 block! {
@@ -180,6 +258,8 @@ block! {
         slow_variance: f32,
         scatter_s: f32,
         pub raised: u32,
+        #[serde(deserialize_with = "added::read_0x11")]
+        beyond_s: f32,
     }
 }
 
@@ -187,15 +267,17 @@ block! {
 struct Expected {
     slope: f32,
     slope_variance: f32,
+    /// The robot's power over that of its commands.
+    ratio: f32,
     /// The robot's own power for relative deviations, W.
     own_w: f32,
     variances: [f32; 2],
 }
 
 impl Level {
-    /// Before the first sample. `None` where nothing is judged.
-    pub(crate) fn new(rules: Option<&LevelRules>) -> Self {
-        let [quick_variance, slow_variance] = rules.map_or([1.0; 2], |rules| rules.variances);
+    /// Before the first sample.
+    pub(crate) fn new(rules: &LevelRules) -> Self {
+        let [quick_variance, slow_variance] = rules.variances;
         Self {
             command_w: f32::NAN,
             known_s: 0.0,
@@ -214,6 +296,7 @@ impl Level {
             slow_variance,
             scatter_s: 0.0,
             raised: 0,
+            beyond_s: 0.0,
         }
     }
 
@@ -229,6 +312,7 @@ impl Level {
             square: 0.0,
             product: 0.0,
             raised: 0,
+            beyond_s: 0.0,
             ..*self
         };
     }
@@ -255,12 +339,16 @@ impl Level {
         let slow_share = if self.slow_s >= SLOW_AGE_S { slow_share } else { 0.0 };
         let (high, low) = (share.max(slow_share), (-share).max(-slow_share));
         let settled = counted & (self.own_s >= SETTLE_S);
-        let was_raised = self.raised != 0;
+        let beyond = settled & (high.max(low) > 1.0);
+        let beyond_s = (self.beyond_s + rules.period_s).min(HOLD_S + rules.period_s);
+        self.beyond_s = if beyond { beyond_s } else { 0.0 };
+        let was_raised = self.is_raised();
         self.decide(settled, high, low);
-        let growth = if was_raised & (self.raised == 0) { GROWTH } else { 1.0 };
+        let growth = if was_raised & !self.is_raised() { GROWTH } else { 1.0 };
+        self.raised |= self.kind(rules, expected.ratio);
         let careful = settled & (high.max(low) > CAREFUL_FROM);
         let rate = if careful { CAREFUL } else { 1.0 };
-        let learns = counted & (self.raised == 0);
+        let learns = counted & !self.is_raised();
         let learned_s = if learns { rate * rules.period_s } else { 0.0 };
         let scatter_s = if self.own_s > SCATTER_FROM_S { learned_s } else { 0.0 };
         let [quick_variance, slow_variance] = expected.variances;
@@ -311,13 +399,11 @@ impl Level {
     fn expected(&self, rules: &LevelRules) -> Expected {
         let own_w = self.own_w.abs().max(rules.floor_w);
         let ratio = self.own_w.max(0.0) / self.own_command_w.max(f32::MIN_POSITIVE);
-        let unlike = !((ratio >= 1.0 / UNLIKE) & (ratio <= UNLIKE));
+        let like = (ratio >= 1.0 / UNLIKE) & (ratio <= UNLIKE);
+        let unlike = rules.is_trained() & !like;
         let least = |prior: f32| {
-            let of_platform = if unlike {
-                prior.max(UNLIKE_SCATTER * UNLIKE_SCATTER)
-            } else {
-                STEADIEST * STEADIEST * prior
-            };
+            let of_platform =
+                if unlike { prior.max(UNLIKE_SCATTER * UNLIKE_SCATTER) } else { prior };
             of_platform.max(LEAST * LEAST)
         };
         let variances = [
@@ -331,7 +417,7 @@ impl Level {
         let half_way = 0.5 + 0.5 * ratio;
         let slope = slope_variance * (half_way * prior + self.product / error);
         let slope = slope.max(0.0).min(UNLIKE * greater);
-        Expected { slope, slope_variance, own_w, variances }
+        Expected { slope, slope_variance, ratio, own_w, variances }
     }
 
     /// Relative deviation of a mean from what is expected, and its variance.
@@ -358,11 +444,37 @@ impl Level {
     #[inline(always)]
     fn decide(&mut self, settled: bool, high: f32, low: f32) {
         let judged = |share: f32, bit: u32| {
-            let least = if self.raised & bit == 0 { 1.0 } else { HALF };
-            if share > least { bit } else { 0 }
+            let is_new = self.raised & bit == 0;
+            let least = if is_new { 1.0 } else { HALF };
+            if (share > least) & (!is_new | (self.beyond_s >= HOLD_S)) { bit } else { 0 }
         };
         let raised = judged(high, HIGH) | judged(low, LOW);
-        self.raised = if settled { raised } else { self.raised };
+        let others = self.raised & KIND;
+        self.raised = if settled { raised | others } else { self.raised };
+    }
+
+    /// True if the level itself is alarmed.
+    #[inline(always)]
+    const fn is_raised(&self) -> bool {
+        self.raised & (HIGH | LOW) != 0
+    }
+
+    /// The alarm of a robot that has the model of another kind. A robot that has given back what it
+    /// drew is none.
+    #[inline(always)]
+    fn kind(&mut self, rules: &LevelRules, ratio: f32) -> u32 {
+        let most = if self.raised & KIND == 0 { UNLIKE } else { KIND_STAYS * UNLIKE };
+        self.raised &= !KIND;
+        let beyond = (ratio > most) | ((ratio > 0.0) & (ratio * most < 1.0));
+        let raised = rules.is_trained() & (self.own_s >= KIND_S) & beyond;
+        if raised { KIND } else { 0 }
+    }
+
+    /// Scatter of the robot's levels, in that of the energy model, if it is known.
+    pub(crate) fn scatter(&self, rules: &LevelRules) -> Option<f32> {
+        let ratio = |variance: f32, place: usize| (variance / rules.variances[place]).sqrt();
+        let known = (self.scatter_s >= SHOWS_S) & !self.is_raised();
+        known.then(|| 0.5 * (ratio(self.quick_variance, 0) + ratio(self.slow_variance, 1)))
     }
 
     /// The own level takes the quick mean with the weight of `learned_s`.
@@ -383,6 +495,15 @@ impl Level {
 }
 
 impl LevelLanes {
+    /// Levels of which nothing is known, not even their scatter.
+    pub(crate) fn unknown() -> Self {
+        let mut block = Self::default();
+        for lane in 0..LANES {
+            block.set(lane, true, Level::new(&LevelRules::UNKNOWN));
+        }
+        block
+    }
+
     /// The robot in a lane is compared with its level from now on.
     pub(crate) fn accept(&mut self, lane: usize) {
         let mut level = self.get(lane);

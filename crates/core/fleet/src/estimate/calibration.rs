@@ -68,9 +68,17 @@ impl SharedErrors {
         self.calibration.platform()
     }
 
-    /// Counts the errors of a robot, and what it has shown with them.
-    pub(crate) fn count(&self, robot: u32, errors: &NewErrors) {
-        self.show(robot, &errors.shown);
+    /// Counts the errors of a robot, and what it has shown with them unless it is on its charger:
+    /// also the scatter of its levels, if it is known.
+    pub(crate) fn count(
+        &self,
+        (robot, scatter): (u32, Option<f32>),
+        errors: &NewErrors,
+        charging: bool,
+    ) {
+        if !charging {
+            self.show(robot, &errors.shown_with(scatter));
+        }
         for (counts, class) in self.counts.classes.iter().zip(errors.classes) {
             if let Some(count) = class.and_then(|class| counts.get(usize::from(class))) {
                 count.fetch_add(1, Ordering::Relaxed);

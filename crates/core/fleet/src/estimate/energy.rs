@@ -107,6 +107,8 @@ pub(crate) struct EnergySamples<'a> {
     pub v_mps: &'a Lanes<f32>,
     /// NaN if unknown.
     pub omega_radps: &'a Lanes<f32>,
+    /// On its charger, where a robot shows nothing of its work.
+    pub charging: &'a Lanes<bool>,
 }
 
 impl EnergySamples<'_> {
@@ -122,13 +124,12 @@ impl EnergySamples<'_> {
 }
 
 impl EnergyLanes {
-    /// Power of the command in force by the platform's model, W. NaN if the command is unknown.
+    /// The command in force, m/s and rad/s, NaN if unknown, and its power by the platform's model, W.
     #[inline(always)]
-    pub(crate) fn command_w(&self, lane: usize) -> f32 {
+    pub(crate) fn command(&self, lane: usize) -> ((f32, f32), f32) {
         let [v_mps, omega_radps, command_w] = Metered::COMMAND;
         let number = |place: usize| self.metered.0[place][lane];
-        let known = number(v_mps).is_finite() & number(omega_radps).is_finite();
-        if known { number(command_w) } else { f32::NAN }
+        ((number(v_mps), number(omega_radps)), number(command_w))
     }
 
     /// Completes a state of an older version: the running shadow forecasts count as made with what
@@ -172,8 +173,8 @@ impl EnergyLanes {
         self.metered.get(lane).time_s[LEVELS - 1] >= SETTLED_S
     }
 
-    /// Takes the samples of the robots in the mask, whose ids `robot` gives. Without shared errors
-    /// they do not learn, and no shadow forecasts are made.
+    /// Takes the samples of the robots in the mask, whose ids and known scatter `robot` gives.
+    /// Without shared errors they do not learn, and no shadow forecasts are made.
     #[inline(always)]
     pub(crate) fn observe(
         &mut self,
@@ -181,7 +182,7 @@ impl EnergyLanes {
         errors: Option<&SharedErrors>,
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
-        robot: impl Fn(usize) -> u32,
+        robot: impl Fn(usize) -> (u32, Option<f32>),
     ) {
         let (command, learns) = (model.command, errors.is_some());
         let mut ended = [false; LANES];
@@ -192,7 +193,7 @@ impl EnergyLanes {
             self.metered.set(lane, mask[lane], &metered);
         }
         if let Some(errors) = errors.filter(|_| lanes::any(&ended)) {
-            self.compare(model, errors, &ended, samples.power_w, robot);
+            self.compare(model, errors, &ended, samples, robot);
         }
     }
 
@@ -203,12 +204,13 @@ impl EnergyLanes {
         model: &EnergyModel,
         errors: &SharedErrors,
         ended: &Lanes<bool>,
-        power_w: &Lanes<f32>,
-        robot: impl Fn(usize) -> u32,
+        samples: &EnergySamples<'_>,
+        robot: impl Fn(usize) -> (u32, Option<f32>),
     ) {
         for lane in (0..LANES).filter(|lane| ended[*lane]) {
             let mut state = self.get(lane);
-            errors.count(robot(lane), &state.compare(model, errors.platform(), power_w[lane]));
+            let new = state.compare(model, errors.platform(), samples.power_w[lane]);
+            errors.count(robot(lane), &new, samples.charging[lane]);
             self.set(lane, true, state);
         }
     }

@@ -124,10 +124,8 @@ impl Fleet {
         lanes::set(&mut columns.intervals, slot, interval);
         lanes::set(&mut columns.scores, slot, Scores::default());
         lanes::set(&mut columns.detectors, slot, Detector::new());
-        if !columns.levels.is_empty() {
-            let level = Level::new(context.levels.as_ref());
-            lanes::set(&mut columns.levels, slot, level);
-        }
+        let rules = context.levels.among(&context.errors.platform().memory);
+        lanes::set(&mut columns.levels, slot, Level::new(&rules));
         lanes::set(&mut columns.energy, slot, EnergyState::among(id, context.errors.platform()));
     }
 

@@ -83,7 +83,7 @@ impl Fleet {
         let needed = Needed {
             online: tick.platforms.iter().any(|platform| platform.members.is_some()),
             batteries: settings.has_batteries(),
-            levels: tick.platforms.iter().any(|platform| platform.levels.is_some()),
+            levels: true,
         };
         let capacity = settings.capacity as usize;
         Ok(Self {

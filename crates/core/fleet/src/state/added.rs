@@ -2,8 +2,10 @@
 
 use std::cell::Cell;
 
-use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, PARTS, SHADOWS};
+use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, PARTS, SHADOWS, SHOWN};
 use serde::{Deserialize, Deserializer};
+
+use crate::layout::lanes::Lanes;
 
 thread_local! {
     /// The version of the state that is decoded. The format names no fields, so a field alone cannot
@@ -15,7 +17,8 @@ thread_local! {
 const READ: u8 = 0x0f;
 /// The version that gained those of [`read_0x10`], and the groups of [`read_errors`].
 const READ_0X10: u8 = 0x10;
-/// The version that gained those of [`read_0x11`].
+/// The version that gained those of [`read_0x11`], whose groups have the scatter of levels, and whose
+/// detectors have no cumulative sums.
 const READ_0X11: u8 = 0x11;
 
 /// Decodes a state of an older version.
@@ -53,7 +56,16 @@ where
     if VERSION.get() < READ_0X11 { Ok(T::default()) } else { T::deserialize(from) }
 }
 
-/// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown.
+/// Passes over the two cumulative sums of a block of detectors, which versions before 0x11 have.
+pub(crate) fn skip_cusum<'de, D: Deserializer<'de>>(from: D) -> Result<(), D::Error> {
+    if VERSION.get() < READ_0X11 {
+        <[Lanes<f32>; 2]>::deserialize(from)?;
+    }
+    Ok(())
+}
+
+/// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown, and those
+/// before 0x11 the scatter of their levels.
 pub(crate) fn read_errors<'de, T, D>(from: D) -> Result<ErrorCounts<T>, D::Error>
 where
     T: Deserialize<'de> + Default,
@@ -67,6 +79,12 @@ where
     if VERSION.get() < READ_0X10 {
         let Before { classes, pulls } = Before::deserialize(from)?;
         Ok(ErrorCounts { classes, pulls, groups: Default::default() })
+    } else if VERSION.get() < READ_0X11 {
+        let (Before { classes, pulls }, shown) =
+            <(Before<T>, [[[T; 2]; SHOWN - 1]; GROUPS])>::deserialize(from)?;
+        let with_scatter =
+            |[power, start, trust]: [[T; 2]; SHOWN - 1]| [power, start, trust, Default::default()];
+        Ok(ErrorCounts { classes, pulls, groups: shown.map(with_scatter) })
     } else {
         ErrorCounts::deserialize(from)
     }

@@ -239,7 +239,7 @@ columns! {
         online: OnlineLanes, "blocks of what is learned online";
         /// Empty unless a platform has a battery.
         batteries: BatteryLanes, "blocks of batteries";
-        /// Empty unless the energy model of a platform states its errors.
+        /// Empty in a state of an older version whose platforms' models stated no errors.
         levels: LevelLanes, "blocks of levels";
     }
 }
@@ -257,6 +257,15 @@ impl Columns {
     }
 }
 
+impl Columns {
+    /// Completes columns of a version that judged no levels: they are learned from now on.
+    pub(super) fn complete_levels(&mut self) {
+        if self.levels.is_empty() {
+            self.levels.resize(self.lasts.len(), LevelLanes::unknown());
+        }
+    }
+}
+
 /// The optional columns that a fleet needs.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Needed {
@@ -264,7 +273,7 @@ pub(crate) struct Needed {
     pub online: bool,
     /// A platform has a battery.
     pub batteries: bool,
-    /// The energy model of a platform may state its errors.
+    /// They always are. Older versions judged the levels of trained models alone.
     pub levels: bool,
 }
 

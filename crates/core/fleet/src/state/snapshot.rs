@@ -21,6 +21,8 @@ const OLDEST: u8 = 0x0e;
 /// The first version whose robots are complete, and the first whose batteries are.
 const COMPLETE: u8 = 0x0f;
 const COMPLETE_BATTERIES: u8 = 0x11;
+/// The first version that judges the levels of all robots.
+const ALL_LEVELS: u8 = 0x11;
 const NEWEST: u8 = MAGIC[7];
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
@@ -45,6 +47,9 @@ pub struct FleetState {
     pub(crate) refused: Refused,
     /// One entry a platform.
     pub(crate) errors: Vec<SavedErrors>,
+    /// An older version encoded it. Its hash of settings is another one.
+    #[serde(skip)]
+    pub(crate) is_older: bool,
 }
 
 /// Counters common to all robots.
@@ -114,6 +119,7 @@ impl FleetState {
             sources: with_capacity(settings.intake.max_sources.into(), Source::default()),
             refused: Refused::default(),
             errors: with_capacity(settings.platforms.len(), SavedErrors::default()),
+            is_older: false,
         }
     }
 
@@ -157,6 +163,10 @@ impl FleetState {
                 state.columns.complete(is_recent);
                 let departed = state.departed.iter_mut();
                 departed.for_each(|account| account.battery.complete(is_recent));
+            }
+            if version < ALL_LEVELS {
+                state.is_older = true;
+                state.columns.complete_levels();
             }
             (state, rest)
         });

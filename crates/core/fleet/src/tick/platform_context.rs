@@ -35,8 +35,8 @@ pub(crate) struct PlatformContext {
     pub members: Option<Members>,
     /// The energy of longer plans.
     pub energy: EnergyModel,
-    /// By what levels are judged. `None` if the energy model states no errors.
-    pub levels: Option<LevelRules>,
+    /// By what levels are judged.
+    pub levels: LevelRules,
     /// The power until a battery is empty. `None` if the model does not state it.
     pub lasting: Option<Lasting>,
     /// Errors of that energy, of all robots.
@@ -71,7 +71,7 @@ impl PlatformContext {
         let alarms = settings.alarms.of(&platform);
         let energy = model.energy_or_untrained(platform.power_max_w);
         Self {
-            levels: LevelRules::new(&energy, &alarms, platform.period_ns),
+            levels: LevelRules::new(&energy, &alarms, &platform),
             alarms,
             errors: SharedErrors::new(&energy),
             lasting: energy.lasting(),

@@ -148,7 +148,7 @@ impl SimdTask for Score<'_, '_> {
                     detectors: &mut detectors[block],
                     batteries: batteries.get_mut(block),
                     energy: &energy[block],
-                    levels: levels.get_mut(block),
+                    levels: &mut levels[block],
                 };
                 score_platform(self.tick, platform, &absorbed, &mut robots);
                 next = absorbed.platform_from(platform + 1);
@@ -165,8 +165,7 @@ struct Robots<'a> {
     /// `None` unless a platform has a battery.
     batteries: Option<&'a mut BatteryLanes>,
     energy: &'a EnergyLanes,
-    /// `None` unless the energy model of a platform states its errors.
-    levels: Option<&'a mut LevelLanes>,
+    levels: &'a mut LevelLanes,
 }
 
 /// Scores the robots of one platform.
@@ -185,14 +184,16 @@ fn score_platform(tick: &TickContext, platform: u16, absorbed: &Absorbed, robots
     }
     score(robots.scores, absorbed, &scored);
     detect(context, absorbed, &scored, robots.detectors);
-    if let (Some(levels), Some(rules)) = (&mut robots.levels, &context.levels) {
-        let energy = robots.energy;
-        levels.observe(rules, &mask, |lane| LevelSample {
+    let rules = context.levels.among(&context.errors.platform().memory);
+    let energy = robots.energy;
+    robots.levels.observe(&rules, &mask, |lane| {
+        let (command, model_w) = energy.command(lane);
+        LevelSample {
             power_w: absorbed.reading_w[lane],
-            command_w: energy.command_w(lane),
+            command_w: rules.command_w(command, model_w),
             apart: absorbed.broken[lane] | absorbed.alarms.charging[lane],
-        });
-    }
+        }
+    });
     alarm(tick, context, absorbed, &mask, robots.scores, robots.detectors);
 }
 

@@ -5,7 +5,7 @@ use joulebus_predictor::{FeatureSet, Model};
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_testkit_fleets::random;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, budget};
-use joulebus_wire::Sample;
+use joulebus_wire::{Sample, sample_flag};
 
 const START_NS: u64 = 60_000 * MS;
 /// The mean of the network's energy model.
@@ -70,7 +70,7 @@ fn the_next_robot_is_taken_to_draw_what_the_fleet_draws_with_a_state_and_with_a_
     assert!((alone_w / MEAN_W - 1.0).abs() < 0.02, "{alone_w} W");
     for factor in [0.6, 1.6, 3.0] {
         let mut known = fleet();
-        run(&mut known, &robots(24, factor * MEAN_W));
+        run(&mut known, &robots(64, factor * MEAN_W));
         let mut bytes = Vec::new();
         known.state().encode_into(&mut bytes);
         let mut restored = fleet();
@@ -114,6 +114,21 @@ fn one_robot_at_four_times_its_power_moves_no_other_by_a_twentieth() {
         assert!(by <= 0.05, "beside {others}: {} W to {} W", usual.0, moved.0);
         assert!((moved.1 - usual.1).abs() <= 0.05, "beside {others}: {} to {}", usual.1, moved.1);
     }
+}
+
+#[test]
+fn what_robots_draw_on_their_chargers_is_not_remembered() {
+    let mut fleet = fleet();
+    let mut source = Source::new(1, 1);
+    for step in 0..1_500 {
+        let of_step = |robot| sample(robot, step, 0.1 * MEAN_W).with(sample_flag::CHARGING);
+        let frame: Vec<Sample> = (0..20).map(of_step).collect();
+        source.tick(&mut fleet, &frame, START_NS + step * PERIOD_NS);
+    }
+    let [power, _, trust] = [0, 1, 2].map(|quantity| {
+        seen(&fleet).groups.iter().map(|shown| shown[quantity][0]).fold(0.0, f32::max)
+    });
+    assert_eq!([power, trust], [0.0; 2]);
 }
 
 #[test]

@@ -22,8 +22,6 @@ pub struct Delays {
     pub fault: Fault,
     /// Delay with the calibrated limits, and the alarms that samples raise themselves.
     pub calibrated: Delay,
-    /// Delay with the textbook's CUSUM.
-    pub textbook: Delay,
     /// Delay with a limit of power.
     pub power: Delay,
     /// Delay with a limit of voltage.
@@ -171,22 +169,17 @@ impl<'a> Faulty<'a> {
     pub(super) fn delays(
         &self,
         calibrated: &Robot,
-        textbook: &Robot,
         thresholds: &Thresholds,
     ) -> Result<Vec<Delays>, SettingsError> {
         if self.0.is_empty() {
             return Ok(Vec::new());
         }
         let row = |fault: Fault| {
-            let by = |robot: &Robot| {
-                self.found(fault, |samples, from_ns| {
-                    Ok(robot.play(samples, Some(from_ns))?.found_ns)
-                })
-            };
             Ok(Delays {
                 fault,
-                calibrated: by(calibrated)?,
-                textbook: by(textbook)?,
+                calibrated: self.found(fault, |samples, from_ns| {
+                    Ok(calibrated.play(samples, Some(from_ns))?.found_ns)
+                })?,
                 power: self
                     .found(fault, |samples, from_ns| Ok(thresholds.by_power(samples, from_ns)))?,
                 voltage: self

@@ -8,16 +8,14 @@ use rayon::prelude::*;
 use super::play::{KINDS, Robot};
 
 /// Their keys.
-pub(super) const KEYS: [&str; KINDS] =
-    ["cusum_limit", "noise_limit", "mismatch_limit", "level_limit"];
-/// Steps of the grid: a fifth more each for the cumulative sum, about an eighth for the others.
+pub(super) const KEYS: [&str; KINDS] = ["noise_limit", "mismatch_limit", "level_limit"];
+/// Steps of the grid: about an eighth more each.
 pub(super) const STEPS: usize = 40;
 
 /// A limit at a step: from the least that is allowed to the greatest, in equal ratios, rounded to
 /// three significant digits.
 pub(super) fn limit(kind: usize, step: usize) -> f64 {
-    let allowed =
-        [bounds::CUSUM_LIMIT, bounds::NOISE_LIMIT, bounds::MISMATCH_LIMIT, bounds::LEVEL_LIMIT];
+    let allowed = [bounds::NOISE_LIMIT, bounds::MISMATCH_LIMIT, bounds::LEVEL_LIMIT];
     let (least, greatest) = allowed[kind].clone().into_inner();
     let share = step as f64 / (STEPS - 1) as f64;
     let exact = least * libm::pow(greatest / least, share);
@@ -25,9 +23,8 @@ pub(super) fn limit(kind: usize, step: usize) -> f64 {
     ((exact * digits).round() / digits).clamp(least, greatest)
 }
 
-pub(super) fn limits([bias, noise, mismatch, level]: [f64; KINDS]) -> AlarmLimits {
+pub(super) fn limits([noise, mismatch, level]: [f64; KINDS]) -> AlarmLimits {
     AlarmLimits {
-        cusum_limit: bias as f32,
         noise_limit: noise as f32,
         mismatch_limit: mismatch as f32,
         level_limit: level as f32,
@@ -35,8 +32,7 @@ pub(super) fn limits([bias, noise, mismatch, level]: [f64; KINDS]) -> AlarmLimit
 }
 
 pub(super) fn values(limits: AlarmLimits) -> [f64; KINDS] {
-    [limits.cusum_limit, limits.noise_limit, limits.mismatch_limit, limits.level_limit]
-        .map(f64::from)
+    [limits.noise_limit, limits.mismatch_limit, limits.level_limit].map(f64::from)
 }
 
 /// A recording at the steps of the grid.

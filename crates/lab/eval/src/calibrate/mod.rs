@@ -59,8 +59,6 @@ pub fn calibrate(
     if is_extrapolated && !request.extrapolate {
         return Err(stated_on.too_many(bound, request));
     }
-    let textbook = robot.textbook();
-    let alone = Half::new(&textbook, second)?;
     let thresholds = Thresholds::new(first, second, chosen_on.evidence().alarms);
     let faulty = Faulty::new(second, robot.settle_samples());
     Ok(Calibration {
@@ -90,8 +88,7 @@ pub fn calibrate(
                 |half: &Half| half.played.iter().map(|played| played.others[other]).sum::<u64>();
             (OTHERS[other].name(), count(&chosen_on) + count(&stated_on))
         }),
-        textbook_per_robot_h: alone.raised(0) as f64 / alone.evidence().hours,
-        delays: faulty.delays(&calibrated, &textbook, &thresholds)?,
+        delays: faulty.delays(&calibrated, &thresholds)?,
         thresholds,
         faulty_recordings: faulty.len(),
         after_s: faulty.after_s(),

@@ -2,25 +2,19 @@
 
 use joulebus_fleet::Fleet;
 use joulebus_predictor::Model;
-use joulebus_settings::{AlarmLimits, AlarmSettings, FleetSettings, SettingsError, bounds};
+use joulebus_settings::{AlarmLimits, FleetSettings, SettingsError};
 use joulebus_wire::{Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader};
 
-/// Limits: of bias, noise, mismatch and level.
-pub(super) const KINDS: usize = 4;
+/// Limits: of noise, mismatch and level.
+pub(super) const KINDS: usize = 3;
 
 /// Id of the robot that is played.
 pub(super) const ROBOT: u32 = 0;
 /// Alarms that no limit of the residuals sets.
 pub(super) const OTHERS: [Alarm; 3] = [Alarm::StuckSensor, Alarm::HeldTooLong, Alarm::OutOfRange];
 /// Alarms with a limit, and the limit's index.
-const LIMITED: [(Alarm, usize); 6] = [
-    (Alarm::BiasHigh, 0),
-    (Alarm::BiasLow, 0),
-    (Alarm::NoiseHigh, 1),
-    (Alarm::ModelMismatch, 2),
-    (Alarm::LevelHigh, 3),
-    (Alarm::LevelLow, 3),
-];
+const LIMITED: [(Alarm, usize); 4] =
+    [(Alarm::NoiseHigh, 0), (Alarm::ModelMismatch, 1), (Alarm::LevelHigh, 2), (Alarm::LevelLow, 2)];
 
 /// A robot of the platform, alone in a fleet.
 #[derive(Debug, Clone)]
@@ -70,25 +64,6 @@ impl Robot {
     pub(super) fn limited(&self, limits: AlarmLimits) -> Self {
         let mut robot = self.clone();
         robot.settings.platforms[0].alarms = Some(limits);
-        robot
-    }
-
-    /// The same robot watched by the textbook's cumulative sum alone: half a deviation of slack, a
-    /// limit of five, an alarm at the first sample above it.
-    pub(super) fn textbook(&self) -> Self {
-        let mut robot = self.limited(AlarmLimits {
-            cusum_limit: 5.0,
-            noise_limit: *bounds::NOISE_LIMIT.end() as f32,
-            mismatch_limit: *bounds::MISMATCH_LIMIT.end() as f32,
-            level_limit: *bounds::LEVEL_LIMIT.end() as f32,
-        });
-        robot.settings.alarms = AlarmSettings {
-            cusum_slack: 0.5,
-            raise_samples: 1,
-            clear_samples: 1,
-            ..robot.settings.alarms
-        };
-        robot.finds = AlarmSet::default().with(Alarm::BiasHigh).with(Alarm::BiasLow);
         robot
     }
 

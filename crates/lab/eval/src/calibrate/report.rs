@@ -29,12 +29,10 @@ pub struct Calibration {
     pub chosen_on: Evidence,
     /// The others, which state their rate.
     pub stated_on: Evidence,
-    /// The limits of bias, noise, mismatch and level.
+    /// The limits of noise, mismatch and level.
     pub limits: [Limit; KINDS],
     /// Alarms of all recordings that these limits do not set, true or false, by name.
     pub others: [(&'static str, u64); OTHERS.len()],
-    /// Alarms of the textbook's CUSUM (slack 0.5, limit 5), a robot and hour.
-    pub textbook_per_robot_h: f64,
     /// Limits of power and voltage with as many false alarms on the first half.
     pub thresholds: Thresholds,
     /// Recordings with inserted faults: those of the second half that are long enough.
@@ -169,11 +167,6 @@ impl Calibration {
         )?;
         writeln!(
             out,
-            "textbook: CUSUM, slack 0.5, limit 5: {:.1} false alarms a robot-hour",
-            self.textbook_per_robot_h
-        )?;
-        writeln!(
-            out,
             "power: above {power_w:.2} W; false in {:.1} % of the second half's recordings",
             100.0 * power_false
         )?;
@@ -185,16 +178,12 @@ impl Calibration {
             )?,
             None => writeln!(out, "voltage: not recorded")?,
         }
-        writeln!(
-            out,
-            "\n{:<18} {:>20} {:>20} {:>20} {:>20}",
-            "fault", "calibrated", "textbook", "power", "voltage"
-        )?;
+        writeln!(out, "\n{:<18} {:>20} {:>20} {:>20}", "fault", "calibrated", "power", "voltage")?;
         for delays in &self.delays {
             let name = delays.fault.name();
-            let [calibrated, textbook, power, voltage] =
-                [delays.calibrated, delays.textbook, delays.power, delays.voltage].map(cell);
-            writeln!(out, "{name:<18} {calibrated:>20} {textbook:>20} {power:>20} {voltage:>20}")?;
+            let [calibrated, power, voltage] =
+                [delays.calibrated, delays.power, delays.voltage].map(cell);
+            writeln!(out, "{name:<18} {calibrated:>20} {power:>20} {voltage:>20}")?;
         }
         Ok(())
     }

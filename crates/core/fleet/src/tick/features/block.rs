@@ -75,7 +75,10 @@ pub(crate) fn step_block(
     adapt_intervals(context, intervals, &samples, &steps);
     let admissions = &columns.admissions[first..first + LANES];
     let energy = &mut columns.energy[block];
-    observe_energy(context, energy, &samples, mask, &elapsed_s, |lane| admissions[lane].id);
+    let levels = &columns.levels[block];
+    observe_energy(context, energy, &samples, mask, &elapsed_s, |lane| {
+        (admissions[lane].id, levels.get(lane).scatter(&context.levels))
+    });
     // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&samples.get(lane));
@@ -135,15 +138,16 @@ fn observe_energy(
     samples: &PendingLanes,
     mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
-    robot: impl Fn(usize) -> u32,
+    robot: impl Fn(usize) -> (u32, Option<f32>),
 ) {
     let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
-    let mut working_s = *elapsed_s;
+    let (mut working_s, mut charging) = (*elapsed_s, [false; LANES]);
     for lane in 0..LANES {
         let sample = samples.get(lane);
+        charging[lane] = sample.has(sample_flag::CHARGING);
         // On the charger a robot draws other power than at work. Its levels wait, unless they are
         // still unknown.
-        put(&mut working_s[lane], sample.has(sample_flag::CHARGING) & energy.is_settled(lane), 0.0);
+        put(&mut working_s[lane], charging[lane] & energy.is_settled(lane), 0.0);
         let command = sample.command();
         put(&mut v_mps[lane], command.is_some(), sample.v_mps);
         put(&mut omega_radps[lane], command.is_some(), sample.omega_radps);
@@ -153,6 +157,7 @@ fn observe_energy(
         elapsed_s: &working_s,
         v_mps: &v_mps,
         omega_radps: &omega_radps,
+        charging: &charging,
     };
     energy.observe(&context.energy, context.learned_errors(), &mask, &samples, robot);
 }

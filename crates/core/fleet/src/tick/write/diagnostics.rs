@@ -27,8 +27,6 @@ pub(crate) struct Diagnostics<'a, 'b> {
     coverage_recent: Lanes<f32>,
     residual_w: Lanes<f32>,
     bias_w: Lanes<f32>,
-    cusum_up: Lanes<f32>,
-    cusum_down: Lanes<f32>,
     noise_ratio: Lanes<f32>,
     learned: &'b LearnedLanes,
 }
@@ -47,8 +45,6 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             coverage_recent: [0.0; LANES],
             residual_w: [0.0; LANES],
             bias_w: [0.0; LANES],
-            cusum_up: [0.0; LANES],
-            cusum_down: [0.0; LANES],
             noise_ratio: [0.0; LANES],
             learned,
         };
@@ -67,8 +63,6 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         for lane in 0..LANES {
             diagnostics.residual_w[lane] = canonical(block.lasts.residual_w[lane]);
             diagnostics.bias_w[lane] = canonical(detectors.bias_w[lane]);
-            diagnostics.cusum_up[lane] = canonical(detectors.cusum_up[lane]);
-            diagnostics.cusum_down[lane] = canonical(detectors.cusum_down[lane]);
             diagnostics.noise_ratio[lane] = canonical(detectors.noise_ratio[lane]);
         }
         diagnostics
@@ -100,8 +94,8 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
             residual_w: self.residual_w[lane],
             residual_z: canonical(last.residual_w * context.per_sigma),
             bias_w: self.bias_w[lane],
-            cusum_up: self.cusum_up[lane],
-            cusum_down: self.cusum_down[lane],
+            cusum_up: f32::NAN,
+            cusum_down: f32::NAN,
             noise_ratio: self.noise_ratio[lane],
             coverage: self.coverage[lane],
             coverage_recent: self.coverage_recent[lane],

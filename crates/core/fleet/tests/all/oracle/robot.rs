@@ -269,6 +269,8 @@ pub(crate) struct Robot {
     pub energy: EnergyState,
     /// The newest sample: the energy state takes it before the next one, or in the tick.
     pub waiting: Option<EnergySample>,
+    /// True if the newest sample is of its charger.
+    pub charging: bool,
     /// What its newest reading has shown, which the platform learns with it.
     pub waiting_start: Option<Shown>,
     pub last: Option<Sample>,
@@ -292,6 +294,7 @@ impl Robot {
             scored: Vec::new(),
             energy: EnergyState::among(id, shown),
             waiting: None,
+            charging: false,
             waiting_start: None,
             last: None,
             residual_w: None,
@@ -358,7 +361,8 @@ impl Robot {
         let broken = sample.has(sample_flag::DISCONTINUITY);
         // On the charger a robot that is known does not work.
         let known_s = self.energy.metered.time_s[3];
-        let idle = sample.has(sample_flag::CHARGING) && known_s >= 30.0;
+        self.charging = sample.has(sample_flag::CHARGING);
+        let idle = self.charging && known_s >= 30.0;
         self.waiting = Some(EnergySample {
             power_w: if counted { sample.power_w } else { f32::NAN },
             elapsed_s: if broken || idle { 0.0 } else { (elapsed_ns as f64 * 1e-9) as f32 },
@@ -389,7 +393,9 @@ impl Robot {
                 errors.counts.pulls[shadow][place] += pull;
             }
         }
-        errors.show(self.id, new.shown);
+        if !self.charging {
+            errors.show(self.id, new.shown);
+        }
     }
 
     /// Fills the periods between the last sample and this one. Returns whether there were any.

@@ -174,7 +174,7 @@ fn another_fleets_state_is_refused_with_both_numbers() {
         StateError::Platforms { found: 3, expected: 2 }
     );
     let sensitive =
-        &|settings: &mut joulebus_settings::FleetSettings| settings.alarms.cusum_limit += 0.5;
+        &|settings: &mut joulebus_settings::FleetSettings| settings.alarms.noise_limit += 0.5;
     assert!(matches!(refused(&mut with(sensitive)), StateError::FleetSettings { .. }));
     let mut models = world::models();
     models.swap(0, 2);
