@@ -182,7 +182,7 @@ impl QuestionPorts {
         points: &Bound<'py, PyAny>,
         speed: &Bound<'py, PyAny>,
         columns: [Option<Bound<'py, PyAny>>; 3],
-        (heading_rad, tolerance_m): (Option<f64>, Option<f32>),
+        heading_and_tolerance: (Option<f64>, Option<f32>),
         back_to: Option<(f64, f64)>,
         coverage: f32,
         power: bool,
@@ -190,6 +190,7 @@ impl QuestionPorts {
         timeout_s: f64,
     ) -> PyResult<Bound<'py, PyDict>> {
         let robots = Ids::read("robots", robots)?.0;
+        let (heading_rad, tolerance_m) = heading_and_tolerance;
         let plan = Plan::Follow {
             robots,
             path: Path { heading_rad, tolerance_m, ..path(points, speed, &columns)? },
@@ -315,15 +316,15 @@ fn path(
         }
     };
     let point = |at: &[f64]| Point::new(at[0], at[1]);
-    let column = |place: usize, name| match &columns[place] {
-        None => Ok(Vec::new()),
-        Some(values) => {
-            let values = Doubles::read(name, values)?;
-            match *values.shape {
-                [found] if found == count => Ok(values.values),
-                _ => Err(shape_error(name, &values.shape, &format!("({count},), of each point"))),
-            }
+    let column = |place: usize, name: &str| -> PyResult<Vec<f64>> {
+        let Some(values) = &columns[place] else {
+            return Ok(Vec::new());
+        };
+        let values = Doubles::read(name, values)?;
+        if *values.shape == [count] {
+            return Ok(values.values);
         }
+        Err(shape_error(name, &values.shape, &format!("({count},), of each point")))
     };
     Ok(Path {
         points: points.values.chunks_exact(2).map(point).collect(),

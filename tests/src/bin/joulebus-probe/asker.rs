@@ -302,13 +302,12 @@ fn refused(fleet: u64) -> Vec<(QueryRefusal, QueryHeader, Vec<f64>)> {
         points
     };
     type Change = fn(&mut QueryHeader);
-    let changes: [(Reason, Change); 15] = [
+    let changes: [(Reason, Change); 14] = [
         (Reason::Schema, |header| header.schema = 0),
         (Reason::Fleet, |header| header.fleet ^= 1),
         (Reason::Kind, |header| header.kind = 0),
         (Reason::Kind, |header| header.kind = u32::MAX),
         (Reason::Kind, |header| header.flags |= query_flag::ALL + 1),
-        (Reason::Kind, |header| header.reserved = 7),
         (Reason::TooLarge, |header| header.robots = u32::MAX),
         (Reason::TooLarge, |header| header.candidates = u32::MAX),
         (Reason::TooLarge, |header| header.steps = u32::MAX),

@@ -322,7 +322,7 @@ fn a_tolerance_smooths_scattered_points_and_0_drives_every_corner() {
     let path = |tolerance_m| Path { tolerance_m, ..Path::new(&points, 0.2) };
     let platform = limited(0.25, 4.0);
     let straight = cost(&platform, &Path::new(&[points[0], points[399]], 0.2));
-    let [smooth, rough] = [Some(0.05), Some(0.0)].map(|tolerance_m| path(tolerance_m));
+    let [smooth, rough] = [Some(0.05), Some(0.0)].map(&path);
     assert!((cost(&platform, &smooth).1 / straight.1 - 1.0).abs() < 0.02);
     assert!(cost(&platform, &rough).1 > straight.1);
     let simplified = smooth.simplified().expect("it is smoothed");
