@@ -21,9 +21,15 @@ pub trait Steps {
 pub trait Rounds<T, E> {
     /// Does what is due, and waits for more. Returns a pause before the next round. Zero after a
     /// round that has waited.
+    ///
+    /// # Errors
+    /// The work ends with it.
     fn round(&mut self) -> Result<Duration, E>;
 
     /// Ends the work after its last round.
+    ///
+    /// # Errors
+    /// The work ends with it.
     fn finish(self) -> Result<T, E>;
 }
 
