@@ -93,7 +93,7 @@ impl Question {
             power: header.flags & query_flag::POWER != 0,
             moments: match kind(header)? {
                 QueryKind::Idle | QueryKind::Follow => header.candidates as usize,
-                QueryKind::WhatIf | QueryKind::Acknowledge => 0,
+                QueryKind::WhatIf | QueryKind::Acknowledge | QueryKind::Battery => 0,
             },
         })
     }

@@ -37,7 +37,7 @@ pub const ANSWER_RULES: u32 = 6;
 ///
 /// 9: levels of all robots are judged, by the scatter that the platform remembers. BiasHigh and
 /// BiasLow are retired. What one robot moves of the memory is bounded in any fleet. A robot may say
-/// that it is switched off, persons state batteries, and capacity is learned.
+/// that it is switched off, and persons state batteries.
 pub const TICK_RULES: u32 = 9;
 
 /// Maximum number of values of a question.

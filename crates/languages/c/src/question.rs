@@ -3,7 +3,7 @@
 use joulebus_plan::{Path, Plan, Point, Question, Reply};
 use joulebus_wire::{AnswerRow, QueryKind, query_flag};
 
-use crate::abi::types::{joulebus_answers, joulebus_question, joulebus_waypoint};
+use crate::abi::types::{joulebus_answers, joulebus_question};
 use crate::failure::Failure;
 use crate::memory::{array, array_mut, check_apart, product};
 
