@@ -298,26 +298,25 @@ impl AlarmHistory {
     }
 }
 
-/// Reports a raise or an end, with who had acknowledged it.
+/// Reports a raise or an end, with who had acknowledged it first.
 fn report(listed: &mut [Listed], each: &mut impl FnMut(AlarmChange), change: AlarmChange) {
-    let of_it = |listed: &&mut Listed| {
-        (listed.row.robot, listed.row.alarm()) == (change.robot, change.alarm)
-    };
-    let Some(listed) = listed.iter_mut().find(of_it) else {
-        return each(change);
-    };
-    let acknowledged = (listed.raise == Raise::Lasts).then_some(listed.row);
+    let is_of_it =
+        |listed: &Listed| (listed.row.robot, listed.row.alarm()) == (change.robot, change.alarm);
+    let first = listed.iter().find(|listed| is_of_it(listed));
+    let acknowledged = first.filter(|first| first.raise == Raise::Lasts).map(|first| first.row);
     each(AlarmChange { acknowledged, ..change });
-    if change.change != Change::Raised {
-        listed.raise = Raise::Over;
-    } else if listed.raise == Raise::Awaited {
-        // Acknowledged before this history began: the raise itself is not known.
-        listed.raise = Raise::Lasts;
-        each(AlarmChange {
-            change: Change::Acknowledged,
-            acknowledged: Some(listed.row),
-            ..change
-        });
+    for listed in listed.iter_mut().filter(|listed| is_of_it(listed)) {
+        if change.change != Change::Raised {
+            listed.raise = Raise::Over;
+        } else if listed.raise == Raise::Awaited {
+            // Acknowledged before this history began: the raise itself is not known.
+            listed.raise = Raise::Lasts;
+            each(AlarmChange {
+                change: Change::Acknowledged,
+                acknowledged: Some(listed.row),
+                ..change
+            });
+        }
     }
 }
 

@@ -308,11 +308,11 @@ fn checksum(
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
     let any = |has: fn(&Account) -> bool| ledger.robots.values().any(has);
-    let schema = if any(Account::has_newest) {
+    let schema = if any(Account::has_newest) || !ledger.errors.is_empty() {
         NEWEST
     } else if any(|account| account.mean_power_w.is_some()) {
         MEANS
-    } else if ledger.lost.is_empty() && ledger.errors.is_empty() {
+    } else if ledger.lost.is_empty() {
         PLAIN
     } else {
         LOST

@@ -79,11 +79,12 @@ impl Found {
         let named = || path.display().to_string();
         let source = joulebus_files::open(path).with_context(named)?;
         let mut reader = Reader::new(source).with_context(named)?;
-        let (mut read, mut others) = (0_u64, 0_u64);
+        let (mut read, mut of_fleets, mut others) = (0_u64, 0_u64, 0_u64);
         loop {
             match reader.next_entry() {
                 Ok(Some(entry)) => {
                     read += 1;
+                    of_fleets += u64::from(!entry.fleet.is_empty());
                     self.take(&entry);
                 }
                 Ok(None) => break,
@@ -95,7 +96,7 @@ impl Found {
                 }
             }
         }
-        if read == 0 {
+        if of_fleets == 0 {
             // A file of another program is refused.
             crate::info::look(path)?;
         }

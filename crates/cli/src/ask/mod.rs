@@ -234,7 +234,9 @@ impl Args {
             }
             None => Plan::Idle { robots, duration_s: self.idle.unwrap_or_default() },
         };
-        let moments = if self.rank.is_empty() { MOMENTS } else { 0 };
+        // In shared memory the powers of a long path leave no room for them.
+        let is_full = self.power && matches!(self.through, Through::Worker);
+        let moments = if self.rank.is_empty() && !is_full { MOMENTS } else { 0 };
         Question { plan, coverage: self.coverage, power: self.power, moments }
     }
 

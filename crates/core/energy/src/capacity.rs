@@ -124,7 +124,7 @@ mod tests {
                     prop_assert!((1.0..=15.0).contains(&value), "{}", value);
                     prop_assert!((value / from - 1.0).abs() < 0.1 + 1e-5, "{} to {}", from, value);
                     let sd = learned.relative_sd().unwrap();
-                    prop_assert!(sd > 0.0 && sd < 2.0, "{}", sd);
+                    prop_assert!(sd > 0.0 && sd < 3.5, "{}", sd);
                 }
             }
         }

@@ -276,7 +276,9 @@ impl EnergyModel {
             * (inside * (sum.power_w - ridge.outside_command_w)
                 + (1.0 - outside) * ridge.outside_command_w);
         let steps = [sum.steps - sum.steps_outside, sum.steps_outside].map(|steps| steps as f64);
-        let level_s = period_s * (inside * steps[0] + (1.0 - outside) * steps[1]);
+        // The robot's level is that of the regression's half outside the training, too.
+        let level_s =
+            period_s * (inside * steps[0] + (1.0 - outside + outside * inside) * steps[1]);
         let scale = f64::from(level_scale(&level, share));
         let ridge_w =
             f64::from(share) * (ridge.all_w - ridge.outside_w) + outside * scale * ridge.outside_w;
@@ -314,9 +316,9 @@ impl EnergyModel {
         for (power_w, motion) in power_w.iter_mut().zip(motions) {
             let command_w = self.command.power_w(&motion);
             let (ridge_w, leverage) = self.ridge_w(&motion);
-            let (share, scale) = self.share(inside, &level, &motion, leverage);
+            let (share, scale, added_w) = self.share(inside, &level, &motion, leverage);
             let level_w = level.factor * command_w + level.added_w;
-            *power_w = level_w + share * (scale * ridge_w - level_w) + hotel_w;
+            *power_w = level_w + share * (scale * ridge_w + added_w - level_w) + hotel_w;
         }
     }
 
@@ -337,7 +339,7 @@ impl EnergyModel {
         for (step, motion) in plan.motions(state.command()).enumerate() {
             let [v, omega, dv, domega] = self.command.slopes(&motion);
             let (ridge_w, leverage) = self.ridge_w(&motion);
-            let (share, of_ridge) = self.share(inside, &level, &motion, leverage);
+            let (share, of_ridge, _) = self.share(inside, &level, &motion, leverage);
             let scale = (1.0 - share) * whole;
             let of_ridge = share * of_ridge * plan.period_s;
             let [ridge_v, ridge_omega] = match (&self.ridge, self.recorded_w) {
@@ -428,11 +430,14 @@ impl EnergyModel {
         self.ridge.as_ref().map_or(0.0, |_| OUTSIDE_SHARE)
     }
 
-    /// The one or the other, and the factor of the regression's power.
-    fn share(&self, inside: f32, level: &Level, motion: &Motion, leverage: f32) -> (f32, f32) {
+    /// The one or the other, and of the regression's power the factor and what is added to it, W.
+    fn share(&self, inside: f32, level: &Level, motion: &Motion, leverage: f32) -> (f32, f32, f32) {
         match self.lies_outside(motion, leverage) {
-            true => (self.outside_share(), level_scale(level, inside)),
-            false => (inside, 1.0),
+            true => {
+                let added_w = (1.0 - inside) * level.added_w;
+                (self.outside_share(), level_scale(level, inside), added_w)
+            }
+            false => (inside, 1.0, 0.0),
         }
     }
 
@@ -452,7 +457,7 @@ impl EnergyModel {
             [sum.ridge.outside_command_w, sum.ridge.outside_w, sum.ridge.spread]
                 .map(|all| (all / sum.steps_outside as f64) as f32);
         let level_w = level.factor * command_w + level.added_w;
-        let ridge_w = level_scale(level, share) * ridge_w;
+        let ridge_w = level_scale(level, share) * ridge_w + (1.0 - share) * level.added_w;
         let expected_w = level_w + self.outside_share() * (ridge_w - level_w);
         if let Some(ridge) = &self.ridge {
             let error_w = ridge.left_out * (spread - share).max(0.0) * expected_w.abs();

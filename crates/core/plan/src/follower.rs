@@ -73,6 +73,8 @@ pub struct Followed {
     pub leg_ends: Vec<usize>,
     /// Power that each leg adds, W. Empty if none does.
     pub load_w: Vec<f32>,
+    /// Steps of the wait at the first point, and the power that it adds, W.
+    pub(crate) start: (usize, f32),
     /// Pose before each step, and after the last.
     pub poses: Vec<Pose>,
     /// The longest delay at a point of a path with times, s. 0 if it is at most a second.
@@ -208,10 +210,12 @@ impl Follower {
             omega_radps: Vec::new(),
             leg_ends: Vec::with_capacity(path.legs()),
             load_w: path.load_w.iter().skip(1).map(|load_w| *load_w as f32).collect(),
+            start: (0, path.load_w.first().map_or(0.0, |load_w| *load_w as f32)),
             poses: vec![start(path, &shape)],
             late_s: 0.0,
         };
         self.wait(&mut followed, 0, shape.dwell_s(0))?;
+        followed.start.0 = followed.v_mps.len();
         // The vertex beyond which the robot has looked.
         let mut seen = 0;
         for vertex in 1..shape.count() {

@@ -397,11 +397,10 @@ impl Reply {
         let rows: Vec<AnswerRow> = self.rows.iter().chain(&self.along).map(Row::encode).collect();
         header.rows = count(rows.len());
         words.extend_from_slice(bytemuck::cast_slice(&rows));
-        if rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) > MAX_ANSWER_WORDS {
-            return;
-        }
-        header.powers = count(self.power_w.len());
-        for pair in self.power_w.chunks(2) {
+        let fits = rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) <= MAX_ANSWER_WORDS;
+        let power_w = if fits { &*self.power_w } else { &[] };
+        header.powers = count(power_w.len());
+        for pair in power_w.chunks(2) {
             let pair = [pair[0], pair.get(1).copied().unwrap_or(0.0)];
             words.push(bytemuck::cast(pair));
         }

@@ -356,6 +356,8 @@ pub(crate) struct Legs<'a> {
     pub(crate) ends: &'a [usize],
     /// Power that each leg adds, W. None where it is shorter.
     pub(crate) load_w: &'a [f32],
+    /// Steps before the first leg drives, and the power that they add, W.
+    pub(crate) start: (usize, f32),
     /// Energy at the end, J.
     pub(crate) docking_j: f64,
     /// The longest delay, s.
@@ -365,7 +367,7 @@ pub(crate) struct Legs<'a> {
 impl<'a> Legs<'a> {
     /// A plan without legs.
     pub(crate) const fn none(commands: Commands<'a>) -> Self {
-        Self { commands, ends: &[], load_w: &[], docking_j: 0.0, late_s: 0.0 }
+        Self { commands, ends: &[], load_w: &[], start: (0, 0.0), docking_j: 0.0, late_s: 0.0 }
     }
 }
 
@@ -374,6 +376,8 @@ pub(crate) struct Walk<'a> {
     robot: &'a Robot<'a>,
     legs: &'a Legs<'a>,
     pub(crate) progress: Progress,
+    /// Power that the load of the last step adds, W.
+    pub(crate) load_w: f32,
     done: usize,
     leg: usize,
 }
@@ -381,19 +385,24 @@ pub(crate) struct Walk<'a> {
 impl<'a> Walk<'a> {
     pub(crate) fn new(robot: &'a Robot<'a>, legs: &'a Legs<'a>) -> Self {
         let sum = CommandSum::new(&robot.energy, legs.commands.period_s);
-        Self { robot, legs, progress: Progress::new(sum), done: 0, leg: 0 }
+        Self { robot, legs, progress: Progress::new(sum), load_w: 0.0, done: 0, leg: 0 }
     }
 
     /// Follows the plan up to a step, at most its last.
     pub(crate) fn to(&mut self, step: usize) {
         let steps = self.legs.commands.steps();
         while self.done < step.min(steps) {
-            let end = self.legs.ends.get(self.leg).copied().unwrap_or(steps);
-            let load_w = self.legs.load_w.get(self.leg).copied().unwrap_or(0.0);
+            let leg_end = self.legs.ends.get(self.leg).copied().unwrap_or(steps);
+            let (started, start_load_w) = self.legs.start;
+            let (end, load_w) = match self.done < started {
+                true => (started.min(leg_end), start_load_w),
+                false => (leg_end, self.legs.load_w.get(self.leg).copied().unwrap_or(0.0)),
+            };
             let next = step.min(steps).min(end.max(self.done));
             let commands = part(self.legs.commands, self.done, next);
             self.progress.add(self.robot.model(), commands, load_w);
-            (self.done, self.leg) = (next, self.leg + usize::from(next >= end));
+            self.load_w = if next > self.done { load_w } else { self.load_w };
+            (self.done, self.leg) = (next, self.leg + usize::from(next >= leg_end));
             if next == steps {
                 self.progress.added_j += self.legs.docking_j;
             }

@@ -197,6 +197,7 @@ fn append(there: &Followed, home: &Followed) -> Followed {
         leg_ends,
         // Nothing is loaded on the way back.
         load_w: there.load_w.clone(),
+        start: there.start,
         late_s: there.late_s,
         poses: [&there.poses[..steps], &home.poses].concat(),
     }

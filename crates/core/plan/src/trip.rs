@@ -133,7 +133,7 @@ impl Robot<'_> {
                 Ok(None) => return Ok(Ok(last_s)),
                 Err(later) => return Ok(Err(later)),
             };
-            if !self.makes(&self.turned(walk.progress, home), coverage) {
+            if !self.makes(&self.turned(&walk, home), coverage) {
                 return Ok(Ok(last_s));
             }
             last_s = Some(turn as f32 * period_s);
@@ -141,15 +141,19 @@ impl Robot<'_> {
         Ok(Ok(last_s))
     }
 
-    /// A plan that continues with a path back.
-    fn turned(&self, mut progress: Progress, home: &Home) -> Progress {
+    /// A plan that continues with a path back, on which it keeps the load that it had.
+    fn turned(&self, walk: &Walk<'_>, home: &Home) -> Progress {
+        let mut progress = walk.progress;
         let first = Commands {
             period_s: progress.sum.period_s(),
             v_mps: &[home.v_mps],
             omega_radps: &[home.omega_radps],
         };
+        let home_s = home.rest.sum.duration_s() + progress.sum.period_s();
         progress.add(&self.platform().energy, first, 0.0);
         progress.join(&home.rest);
+        // What it could put down saves nothing for sure.
+        progress.added_j += f64::from(walk.load_w.max(0.0)) * f64::from(home_s);
         progress
     }
 }
@@ -165,6 +169,7 @@ impl Followed {
         Legs {
             ends: &self.leg_ends,
             load_w: &self.load_w,
+            start: self.start,
             late_s: self.late_s,
             ..Legs::none(self.commands())
         }
@@ -172,7 +177,10 @@ impl Followed {
 
     /// Adds the loads of the legs to the power of every step, W.
     pub(crate) fn add_loads(&self, power_w: &mut [f32]) {
-        let mut begin = 0;
+        let (started, load_w) = self.start;
+        let steps = power_w.get_mut(..started).unwrap_or_default();
+        steps.iter_mut().for_each(|power_w| *power_w += load_w);
+        let mut begin = started;
         for (end, load_w) in self.leg_ends.iter().zip(&self.load_w) {
             let steps = power_w.get_mut(begin..*end).unwrap_or_default();
             steps.iter_mut().for_each(|power_w| *power_w += load_w);

@@ -1,6 +1,6 @@
 //! The config that a verb uses.
 
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use joulebus_config::{Config, ConfigError, Demo, Domain};
@@ -86,18 +86,19 @@ fn only_fleet(folder: &Path) -> Result<Option<PathBuf>, ConfigError> {
     let Ok(entries) = std::fs::read_dir(folder) else {
         return Ok(None);
     };
-    let files = entries.flatten().map(|entry| entry.path());
-    let mut fleets: Vec<PathBuf> = files
-        .filter(|path| path.extension().is_some_and(|extension| extension == "toml"))
-        .filter(|path| {
-            // One that cannot be read here is named in the error of whoever loads it.
-            let text = std::fs::read_to_string(path);
-            text.map_or_else(
-                |error| error.kind() == ErrorKind::PermissionDenied,
-                |text| text.lines().any(|line| line.trim() == "[fleet]"),
-            )
-        })
-        .collect();
+    let is_toml = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
+    let (mut fleets, mut unreadable) = (Vec::new(), Vec::new());
+    for path in entries.flatten().map(|entry| entry.path()).filter(is_toml) {
+        match std::fs::read_to_string(&path) {
+            Ok(text) if text.lines().any(is_fleet) => fleets.push(path),
+            Ok(_) => {}
+            Err(_) => unreadable.push(path),
+        }
+    }
+    // Whoever loads it names why it cannot be read.
+    if fleets.is_empty() {
+        fleets = unreadable;
+    }
     fleets.sort();
     if fleets.len() < 2 {
         return Ok(fleets.pop());
@@ -105,6 +106,12 @@ fn only_fleet(folder: &Path) -> Result<Option<PathBuf>, ConfigError> {
     let names: Vec<_> = fleets.iter().map(|path| path.display().to_string()).collect();
     let several = format!("it has several fleets: {}", names.join(", "));
     Err(ConfigError::Read { path: folder.to_owned(), source: io::Error::other(several) })
+}
+
+/// True if a line begins the table of a fleet.
+fn is_fleet(line: &str) -> bool {
+    let table = line.split('#').next().unwrap_or_default().trim();
+    table.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')).map(str::trim) == Some("fleet")
 }
 
 #[cfg(test)]
@@ -120,7 +127,7 @@ mod tests {
         write("lab-bridge.toml", "[bridge]\nkind = \"mqtt\"\n");
         write("notes.txt", "[fleet]\n");
         assert_eq!(only_fleet(folder).unwrap(), None);
-        write("lab.toml", "# ours\n[fleet]\nname = \"lab\"\n");
+        write("lab.toml", "# ours\n[ fleet ] # lab\nname = \"lab\"\n");
         assert_eq!(only_fleet(folder).unwrap(), Some(folder.join("lab.toml")));
         write("yard.toml", "[fleet]\nname = \"yard\"\n");
         let error = only_fleet(folder).unwrap_err().to_string();

@@ -62,6 +62,9 @@ fn fit(runs: &[&Run], command: &CommandModel) -> Option<Ridge> {
     for (terms, power_w) in rows() {
         (count, means, mean_w) = (count + 1.0, means + terms, mean_w + power_w);
     }
+    if count == 0.0 {
+        return None;
+    }
     (means, mean_w) = (means / count, mean_w / count);
     let mut squares = Vector::zeros();
     for (terms, _) in rows() {

@@ -153,12 +153,18 @@ impl Server {
             let Some(query) = self.server.receive()? else {
                 return Ok(());
             };
-            let (job, checked) = Job::take(query, self.fleet, clock::monotonic_ns());
+            let (mut job, checked) = Job::take(query, self.fleet, clock::monotonic_ns());
             let of_process = self.jobs.iter().filter(|other| other.client == job.client);
             if let Err(refused) = checked {
                 self.refuse(job, &refused)?;
             } else if let State::Stating(robot, statement, by) = &job.state {
-                match self.state_battery(*robot, *statement, by) {
+                let (robot, statement, by) = (*robot, *statement, by.clone());
+                // Who gave up has not stated it.
+                if let Some(refused) = job.is_over(clock::monotonic_ns()) {
+                    self.refuse(job, &refused)?;
+                    continue;
+                }
+                match self.state_battery(robot, statement, &by) {
                     Ok(()) => self.answer(job, |_| Reply::default())?,
                     Err(refused) => self.refuse(job, &refused)?,
                 }
@@ -209,7 +215,8 @@ impl Server {
             // Else the answer would be that its time is over, although the worker took it.
             let taken = match job.is_over(now_ns) {
                 Some(refused) => Err(refused),
-                None if is_new_normal => entered.and_then(|()| {
+                // The question's record has the name that the table has no room for.
+                None if is_new_normal => entered.or_else(busy_is_no_reason).and_then(|()| {
                     let (robot, normal) = (row.robot, Statement::NewNormal);
                     let but = "is acknowledged, but not as its new normal";
                     self.pass_on(robot, normal, but)
@@ -450,4 +457,8 @@ impl Server {
         self.records.add(record, (&job.values, words), self.counts)?;
         Ok(())
     }
+}
+/// A full table of acknowledgements keeps no new normal from being taken.
+fn busy_is_no_reason(refused: Refused) -> Result<(), Refused> {
+    if refused.reason == QueryRefusal::Busy { Ok(()) } else { Err(refused) }
 }

@@ -8,7 +8,7 @@ pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
 use joulebus_connect::{ConnectError, join};
-use joulebus_plan::{Question, Refused, Reply, acknowledgement, statement};
+use joulebus_plan::{Plan, Question, Refused, Reply, acknowledgement, statement};
 use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, Statement, fnv1a};
 
 /// A client of the thread of `joulebus run` that answers questions about plans. Loads no models,
@@ -176,7 +176,13 @@ impl PlanClient {
         timeout: Duration,
     ) -> Result<(Asked, QueryHeader, Vec<f64>), ClientError> {
         let (mut header, values) = question.encode(self.fleet)?;
-        let asked = Asked { moments: question.moments, ..Asked::now(timeout) };
+        // Other plans have no rows along them.
+        let has_moments = match &question.plan {
+            Plan::WhatIf { .. } => false,
+            plan => plan.robots().len() == 1,
+        };
+        let moments = if has_moments { question.moments } else { 0 };
+        let asked = Asked { moments, ..Asked::now(timeout) };
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;
         Ok((asked, header, values))

@@ -20,8 +20,8 @@
 //!   format reserves, or one that never changes while the robot moves and the voltage changes.
 //! - A robot that says that it is switched off is in one more frame, which says so. Then it is left
 //!   out until its next message.
-//! - A battery is exchanged where a message says so and the one before did not, or where it is
-//!   missing though it was there.
+//! - A battery is exchanged where a message says so and the one before did not, or where it is there
+//!   again after it was missing for longer than `silent_after_s`.
 //! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
 //!   reports that.
 
@@ -80,10 +80,11 @@ struct Robot {
     has_reported: bool,
     first_ns: u64,
     full: bool,
-    /// When a message last said that the battery was exchanged, monotonic ns, whether it is missing,
-    /// and whether a frame has yet to say that it was exchanged.
+    /// When a message last said that the battery was exchanged, monotonic ns, whether it is missing
+    /// and since when, and whether a frame has yet to say that it was exchanged.
     swapped_ns: Option<u64>,
     removed: bool,
+    removed_ns: Option<u64>,
     has_swapped: bool,
     /// A message has said that the robot is switched off, and whether a frame has.
     off: bool,
@@ -297,6 +298,7 @@ impl Robot {
             swapped_ns: None,
             // One that never was there is only not reported.
             removed: true,
+            removed_ns: None,
             has_swapped: false,
             off: false,
             sampled_off: false,
@@ -319,8 +321,16 @@ impl Robot {
             Some(false) => self.swapped_ns = None,
             None => {}
         }
-        self.has_swapped |= seen.removed == Some(true) && !self.removed;
-        self.removed = seen.removed.unwrap_or(self.removed);
+        // A battery that is missing for less is a driver that had no answer, or another slot.
+        match seen.removed {
+            Some(true) if !self.removed => (self.removed, self.removed_ns) = (true, Some(at_ns)),
+            Some(false) => {
+                let since_ns = self.removed_ns.take();
+                self.has_swapped |= since_ns.is_some_and(|since_ns| !said(since_ns));
+                self.removed = false;
+            }
+            _ => {}
+        }
     }
 
     /// The observation without a current that is not measured, and without the power made of it.
@@ -497,9 +507,13 @@ mod tests {
             (swapped(false), 50, false),
             (swapped(true), 60, true),
             (removed(false), 70, false),
-            (removed(true), 80, true),
-            (removed(true), 90, false),
-            (removed(false), 100, false),
+            // A slot without an answer for a moment.
+            (removed(true), 80, false),
+            (removed(false), 90, false),
+            (removed(true), 100, false),
+            (removed(true), 110, false),
+            (removed(false), 101 + HOLDS.silent_ns, true),
+            (removed(false), 102 + HOLDS.silent_ns, false),
         ] {
             intake.take(7, &seen, at_ns);
             assert_eq!(intake.sample(7, at_ns + 1).unwrap().swapped, told, "at {at_ns}");

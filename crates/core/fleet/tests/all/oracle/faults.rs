@@ -206,7 +206,8 @@ fn spoil(mut sample: Sample, noise: &mut Noise) -> Sample {
         7 => sample.flags ^= sample_flag::HELD,
         8 => sample.flags |= sample_flag::CHARGING,
         9 => sample.flags |= sample_flag::DISCONTINUITY,
-        10 => sample.flags |= 1 << (8 + noise.next_u64() % 24),
+        // Any but OFF, whose pauses have tests of their own.
+        10 => sample.flags |= (1 << (8 + noise.next_u64() % 24)) & !sample_flag::OFF,
         // A battery's values: sensible, absurd, and contradictory.
         15 => match noise.next_u64() % 4 {
             0 => sample = sample.state_of_charge((noise.next_u64() % 101) as f32 / 100.0),
