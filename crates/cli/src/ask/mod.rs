@@ -110,7 +110,8 @@ pub(crate) struct Args {
     /// Coverage of the intervals, 0.5 to 0.999
     #[arg(long, value_name = "SHARE", default_value_t = 0.9)]
     coverage: f32,
-    /// With --format json: the power of every step, of one robot that follows a path
+    /// With --format json: the power of every step, of one robot that follows a path. Instead of the
+    /// charge along it
     #[arg(long, conflicts_with_all = ["idle", "rank"])]
     power: bool,
     /// Who computes: this process, from shared memory, or a thread of the worker
@@ -235,8 +236,7 @@ impl Args {
             None => Plan::Idle { robots, duration_s: self.idle.unwrap_or_default() },
         };
         // In shared memory the powers of a long path leave no room for them.
-        let is_full = self.power && matches!(self.through, Through::Worker);
-        let moments = if self.rank.is_empty() && !is_full { MOMENTS } else { 0 };
+        let moments = if self.rank.is_empty() && !self.power { MOMENTS } else { 0 };
         Question { plan, coverage: self.coverage, power: self.power, moments }
     }
 

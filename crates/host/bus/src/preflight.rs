@@ -329,9 +329,9 @@ mod tests {
     #[test]
     fn every_channel_and_its_readers_count() {
         for (capacity, max_planners, [sources, workers, planners], bytes, open_files) in [
-            (64, 8, [1, 1, 1], 16_634_800, 556),
-            (1_000, 32, [4, 1, 9], 152_309_232, 1_228),
-            (10_000, 60, [0, 2, 3], 3_897_360_480, 2_012),
+            (64, 8, [1, 1, 1], 16_698_288, 556),
+            (1_000, 32, [4, 1, 9], 154_837_232, 1_228),
+            (10_000, 60, [0, 2, 3], 3_983_760_480, 2_012),
         ] {
             let limits = Limits { capacity, max_planners, ..Limits::default() };
             let found = needed_bytes(&limits, Ports { sources, workers, planners });

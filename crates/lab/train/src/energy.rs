@@ -10,7 +10,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
+use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_energy::{
     COMBINED_TERMS, CommandModel, EnergyModel, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Limit,
     QUANTILES, RECORDED_S, TERMS,
@@ -18,6 +18,7 @@ use joulebus_energy::{
 use joulebus_predictor::{FeatureSet, LAGS};
 use joulebus_statistics::metrics::quantile;
 
+use crate::drives::{PRIOR_DRIVES, Run, student};
 use crate::ridge::{recorded_w, ridge};
 
 /// Runs are cut into blocks of about this time, each with a level of its own, when the power of
@@ -41,21 +42,6 @@ const FEWEST: (usize, usize) = (30, 4);
 pub(crate) const FEWEST_RECORDINGS: usize = 4;
 /// Recordings from which on the errors among them are taken as they are.
 const MANY_RECORDINGS: usize = 16;
-/// Relative deviation of the mean power between drives before the first, and the number of drives
-/// that it weighs as much as.
-pub(crate) const PRIOR_DRIVES: (f64, f64) = (0.3, 2.0);
-
-/// Consecutive rows of one recording.
-pub(crate) struct Run {
-    pub(crate) origin: RowOrigin,
-    /// v, ω and their derivatives.
-    pub(crate) motion: Vec<[f32; 4]>,
-    /// The reading that ended each step, W.
-    pub(crate) power_w: Vec<f64>,
-    /// The readings before the first step, oldest first, W.
-    before_w: [f64; LAGS],
-}
-
 /// Fits the energy model, which reads commands if the network does. `None` if the recordings are
 /// too short, or their mean power is not above 0.
 pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<EnergyModel> {
@@ -188,24 +174,6 @@ fn between_drives(levels: &[f64]) -> f64 {
     let square = |level: &f64| (level / mean - 1.0) * (level / mean - 1.0);
     let squares: f64 = levels.iter().map(square).filter(|square| square.is_finite()).sum();
     libm::sqrt((weight * prior * prior + squares) / (weight + levels.len() as f64 - 1.0))
-}
-
-/// The quantile of Student's distribution at probability `p`, with `freedom` degrees of freedom, at
-/// least 1. With t = √n tan θ its density is that of cosⁿ⁻¹ θ.
-pub(crate) fn student(p: f64, freedom: f64) -> f64 {
-    const STEPS: usize = 20_000;
-    let step = std::f64::consts::FRAC_PI_2 / STEPS as f64;
-    let middle = |at: usize| (at as f64 + 0.5) * step;
-    let density = |at: usize| libm::pow(libm::cos(middle(at)), freedom - 1.0);
-    let half: f64 = (0..STEPS).map(density).sum();
-    let wanted = (p - 0.5).abs() * 2.0 * half;
-    let mut below = 0.0;
-    let at = (0..STEPS).find(|at| {
-        below += density(*at);
-        below >= wanted
-    });
-    let tangent = libm::tan(middle(at.unwrap_or(STEPS - 1)));
-    (libm::sqrt(freedom) * tangent).copysign(p - 0.5)
 }
 
 /// Two halves by turns, with whole robots each if there are several, or else whole recordings. Too

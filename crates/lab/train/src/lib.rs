@@ -3,6 +3,7 @@
 
 mod adam;
 mod chunk;
+mod drives;
 mod energy;
 mod error;
 mod kernels;

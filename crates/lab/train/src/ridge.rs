@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use joulebus_energy::{CommandModel, RIDGE_TERMS, Ridge};
 use nalgebra::{SMatrix, SVector};
 
-use crate::energy::{PRIOR_DRIVES, Run, student};
+use crate::drives::{PRIOR_DRIVES, Run, student};
 
 /// Penalty, in the terms' own squares. Of 0.003 to 0.1 it had the least error over left-out drives
 /// of two robots that were commanded v and ω.

@@ -153,6 +153,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "serve/src/webhook/mod.rs",
         // When a person acknowledged an alarm.
         "plan-server/src/acknowledgements.rs",
+        // When a message came, beside the time that it states.
+        "bridge/src/mqtt/mod.rs",
         // Times that other hosts receive.
         "bridge/src/outbound.rs",
         // Times in messages, which are compared with those of a simulation.

@@ -28,7 +28,7 @@ pub(crate) const DOUBTED: u32 = 2;
 /// judged.
 pub(crate) const LOADED: u32 = 2;
 pub(crate) const LOADED_FROM: u64 = 500;
-pub(crate) const NEW_NORMAL_AT: u64 = 640;
+pub(crate) const NEW_NORMAL_AT: u64 = 800;
 
 /// A simulated worker, with everything that it and its sources send, in order.
 pub(crate) struct Simulation {

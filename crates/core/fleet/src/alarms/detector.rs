@@ -287,23 +287,14 @@ mod tests {
     }
 
     #[test]
-    fn each_fault_raises_its_own_alarm_and_clears_when_it_ends() {
-        type Fault = fn(f32) -> f32;
-        let cases: [(Fault, Option<Alarm>); 3] = [
-            (|unit| unit + 2.0, None),
-            (|unit| unit - 2.0, None),
-            (|unit| 4.0 * unit, Some(Alarm::NoiseHigh)),
-        ];
-        for (fault, alarm) in cases {
-            let (mut detector, mut state) = (Detector::new(), 1);
-            run(&mut detector, 5_000, |unit| unit, &mut state);
-            assert_eq!(detector.raised, AlarmSet::default(), "false alarm before {alarm:?}");
-            run(&mut detector, 300, fault, &mut state);
-            let expected = alarm.map_or(AlarmSet::default(), |alarm| AlarmSet(0).with(alarm));
-            assert_eq!(detector.raised, expected, "{detector:?}");
-            run(&mut detector, 5_000, |unit| unit, &mut state);
-            assert_eq!(detector.raised, AlarmSet::default(), "{alarm:?} did not clear");
-        }
+    fn noise_raises_its_alarm_and_clears_when_it_ends() {
+        let (mut detector, mut state) = (Detector::new(), 1);
+        run(&mut detector, 5_000, |unit| unit, &mut state);
+        assert_eq!(detector.raised, AlarmSet::default());
+        run(&mut detector, 300, |unit| 4.0 * unit, &mut state);
+        assert_eq!(detector.raised, AlarmSet(0).with(Alarm::NoiseHigh), "{detector:?}");
+        run(&mut detector, 5_000, |unit| unit, &mut state);
+        assert_eq!(detector.raised, AlarmSet::default());
     }
 
     #[test]

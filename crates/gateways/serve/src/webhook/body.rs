@@ -83,12 +83,12 @@ pub(super) mod tests {
     fn acknowledged(by: &str) -> AlarmRecord {
         let row = AcknowledgedRecord { by: by.to_owned(), at_unix_ns: 1 };
         let change = "acknowledged";
-        AlarmRecord { change, acknowledged: Some(row), card: None, ..raised("BiasHigh") }
+        AlarmRecord { change, acknowledged: Some(row), card: None, ..raised("LevelHigh") }
     }
 
     #[test]
     fn a_text_has_a_line_for_each_change_and_what_an_alarm_means_once() {
-        let mut other = raised("BiasHigh");
+        let mut other = raised("LevelHigh");
         other.robot = Some(8);
         let ended = AlarmRecord {
             change: "cleared",
@@ -96,12 +96,12 @@ pub(super) mod tests {
             card: None,
             ..acknowledged("ann")
         };
-        let lines = lines(&[raised("BiasHigh"), other, ended], Some("http://page"));
+        let lines = lines(&[raised("LevelHigh"), other, ended], Some("http://page"));
         assert_eq!(lines.len(), 4, "{lines:?}");
-        assert_eq!(lines[0], "fleet lab, robot 7: BiasHigh raised (warn) http://page/?robot=7");
-        let end = "BiasHigh cleared after 90.0 s, acknowledged by ann http://page/?robot=7";
+        assert_eq!(lines[0], "fleet lab, robot 7: LevelHigh raised (warn) http://page/?robot=7");
+        let end = "LevelHigh cleared after 90.0 s, acknowledged by ann http://page/?robot=7";
         assert_eq!(lines[2], format!("fleet lab, robot 7: {end}"));
-        assert!(lines[3].starts_with("BiasHigh: The robot draws"), "{lines:?}");
+        assert!(lines[3].starts_with("LevelHigh: The robot draws"), "{lines:?}");
     }
 
     #[test]
@@ -116,7 +116,7 @@ pub(super) mod tests {
             let body = body("lab", &[acknowledged(name)], None);
             assert_eq!(
                 body["text"],
-                format!("fleet lab, robot 7: BiasHigh acknowledged by {shown}")
+                format!("fleet lab, robot 7: LevelHigh acknowledged by {shown}")
             );
             assert_eq!(body["changes"][0]["acknowledged"]["by"], name);
         }

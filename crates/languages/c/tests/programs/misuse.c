@@ -396,7 +396,7 @@ static void plans(void) {
     question.points = SIZE_MAX;
     REFUSED(joulebus_questions_ask(asked, &question, &answers), ARGUMENT, "no memory holds");
     question.points = 2;
-    question.flags = 0x80;
+    question.flags = 0x100;
     REFUSED(joulebus_questions_ask(asked, &question, &answers), ARGUMENT, "flags of a question");
     question.flags = 0;
     path[1].x_m = 0.5;

@@ -521,7 +521,10 @@ fn a_file_is_checked_without_a_fleet_or_a_broker() {
         Child::spawn("bridge", command).wait()
     };
     let good = check(text);
-    assert_eq!((good.exit_code(), &good.json()["reads"]), (0, &json!(["a/{robot}/state"])));
+    assert_eq!(
+        (good.exit_code(), &good.json()["reads"]),
+        (0, &json!(["a/{robot}/connection", "a/{robot}/state"]))
+    );
     let bad = check(&text.replace("broker", "brokers"));
     assert_eq!(bad.exit_code(), 2);
     assert!(bad.errors().contains("bridge.toml:4") && bad.text().is_empty(), "{bad:?}");
