@@ -5,6 +5,7 @@
 //! channels again: the new ones after the chunk that defines them, and all once a minute.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use mcap::records::{Channel, Metadata};
 
@@ -75,14 +76,14 @@ impl Definitions {
             let Ok(schema_id) = schema.parse() else {
                 continue;
             };
-            if !self.schemas.contains_key(&schema_id) {
+            if let Entry::Vacant(place) = self.schemas.entry(schema_id) {
                 let kind = MessageKind::all().find(|kind| kind.schema() == name);
                 let data = kind.map(MessageKind::descriptors);
                 let data = data.filter(|data| format!("{:08x}", crc32fast::hash(data)) == crc);
                 let Some(data) = data else {
                     continue;
                 };
-                self.schemas.insert(schema_id, (name.to_owned(), ENCODING.to_owned(), data));
+                place.insert((name.to_owned(), ENCODING.to_owned(), data));
             }
             let metadata = BTreeMap::from([("fleet".to_owned(), fleet.to_owned())]);
             let (topic, message_encoding) = (topic.to_owned(), ENCODING.to_owned());

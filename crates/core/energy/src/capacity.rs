@@ -85,7 +85,7 @@ impl Capacity {
         self.value()?;
         let prior = PRIOR_PAIRS * PRIOR_SD * PRIOR_SD;
         // Without pairs, as after an exchange, the prior alone is known.
-        if !(self.weights > 0.0) {
+        if self.weights.is_nan() || self.weights <= 0.0 {
             return Some(PRIOR_SD * 2.0);
         }
         let pairs = self.weights * self.weights / self.squares;

@@ -202,6 +202,7 @@ impl Known {
         let whole = 0.5 * ln_max * share * (1.0 + share) / (1.0 + share + share * share);
         let mut sum = 0.0;
         for group in 0..GROUPS {
+            #[expect(clippy::manual_clamp, reason = "it would keep a NaN")]
             let ln = libm::logf(ratios[group].max(1.0 / MAX).min(MAX));
             let near = ln.max(-whole).min(whole);
             sum += self.weights[group] * (near + slope * (ln - near));

@@ -150,7 +150,7 @@ impl Standard {
         let Self::Vda5050 = self;
         let text = document.get("timestamp")?.as_str()?;
         let (_, made_s) = moment::parse(text, None).filter(|(form, _)| *form == TimeForm::Date)?;
-        Some(unix_s - made_s).filter(|age_s| !(age_s.abs() <= MAX_AGE_S))
+        Some(unix_s - made_s).filter(|age_s| age_s.abs() > MAX_AGE_S)
     }
 
     /// True if the documents must have the field of this name.

@@ -158,7 +158,8 @@ impl BatteryFields {
             refused(why.into(), name);
         });
         // Many drivers leave it false, and a battery that is not there has no voltage.
-        let removed = Some(!state.present && !(state.voltage > 0.0));
+        let has_voltage = state.voltage > 0.0;
+        let removed = Some(!state.present && !has_voltage);
         Observation { removed, ..Observation::of(&mapped) }
     }
 }
