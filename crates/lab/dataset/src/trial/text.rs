@@ -16,6 +16,7 @@ use super::table::{Cell, LeftOut, Tables, Take};
 use super::times::Times;
 
 /// Reads the table part by part. `zipped`: the bytes are gzip, with the size of the file.
+#[expect(clippy::result_large_err, reason = "a bad line ends the reading, or is rare")]
 pub(super) fn read(
     path: &Path,
     source: Box<dyn Read>,
@@ -314,6 +315,7 @@ struct Refused {
 
 impl Form {
     /// Finds the separator with which the first line names what a trial needs.
+    #[expect(clippy::result_large_err, reason = "once a file")]
     fn find(path: &Path, head: &[u8], map: &ColumnMap) -> Result<Self, Refused> {
         let mut best: Option<Refused> = None;
         for separator in [b',', b';', b'\t', b'|', b' '] {
