@@ -391,8 +391,8 @@ fn count(found: usize) -> u32 {
 
 impl Reply {
     /// Appends the rows, those along the plan, and powers to the words of an answer, and sets their
-    /// counts. Powers that do not fit are left out. What lies outside the training data follows, [`REASON_WORDS`] for each
-    /// row, if any row has it.
+    /// counts. Powers that do not fit are left out. What lies outside the training data follows, some
+    /// words for each row, if any row has it.
     pub fn encode(&self, header: &mut AnswerHeader, words: &mut Vec<u64>) {
         let rows: Vec<AnswerRow> = self.rows.iter().chain(&self.along).map(Row::encode).collect();
         header.rows = count(rows.len());
