@@ -107,6 +107,8 @@ fn walk<R: Read + Seek>(
     mut scan: Scan<R>,
     mut take: impl FnMut(Event<'_>) -> bool,
 ) -> Result<(), ScanError> {
+    // Where the first bytes are not those of an MCAP file, the first record is searched.
+    scan.resume()?;
     loop {
         match scan.next_event() {
             Ok(Some(event)) => {
@@ -128,10 +130,7 @@ fn walk<R: Read + Seek>(
 /// The file's profile, and the compression of its first chunk.
 fn beginning(input: &mut (impl Read + Seek)) -> Result<(String, Option<Compression>), ScanError> {
     let (mut profile, mut compression) = (String::new(), None);
-    let (mut scan, not_mcap) = Scan::anyway(input)?;
-    if not_mcap.is_some() {
-        scan.resume()?;
-    }
+    let (scan, _) = Scan::anyway(input)?;
     walk(scan, |event| match event {
         Event::ChunkBegins(frame) => {
             compression = match frame.header.compression.as_str() {
@@ -180,10 +179,7 @@ impl Summary {
 fn told(input: &mut (impl Read + Seek)) -> Result<Summary, ScanError> {
     let (mut told, mut summary) = (Definitions::default(), Summary::default());
     let mut is_whole = false;
-    let (mut scan, not_mcap) = Scan::anyway(input)?;
-    if not_mcap.is_some() {
-        scan.resume()?;
-    }
+    let (scan, _) = Scan::anyway(input)?;
     walk(scan.outside_of_chunks(), |event| {
         if let Event::Record(raw) = event
             && let Ok(record) = raw.parse()
