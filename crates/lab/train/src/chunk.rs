@@ -258,6 +258,7 @@ mod tests {
     use super::super::reference;
     use super::*;
     use fearless_simd::{Level, dispatch};
+    use nalgebra::DVector;
 
     /// A part of `count` rows in both precisions: summed losses and gradients.
     fn both(
@@ -281,15 +282,18 @@ mod tests {
         chunk.draw_dropout(dropped, count, &mut noise);
         let loss = dispatch!(level, simd => chunk.learn(simd, &weights, &prepared, rows.iter()));
 
-        let slow = reference::Weights::from_f32(inputs, &weights.values);
-        let mut workspace = reference::Workspace::new(&slow);
-        let mut expected = 0.0;
+        let slow: Vec<f64> = weights.values.iter().map(|weight| f64::from(*weight)).collect();
+        let (mut expected, mut gradients) = (0.0, DVector::zeros(slow.len()));
         for (row, example) in rows.iter().enumerate() {
-            workspace.keep(|layer, j| f64::from(chunk.kept[layer][row * HIDDEN[layer] + j]));
+            let kept =
+                |layer: usize, j: usize| f64::from(chunk.kept[layer][row * HIDDEN[layer] + j]);
             let inputs: Vec<f64> = example.inputs[..inputs].iter().map(|x| f64::from(*x)).collect();
-            expected += workspace.accumulate(&slow, &inputs, f64::from(example.target));
+            let (error, of_row) =
+                reference::squared_error(&slow, &inputs, f64::from(example.target), kept);
+            expected += error;
+            gradients += DVector::from_vec(of_row);
         }
-        ((loss, chunk.gradients), (expected, workspace.gradients))
+        ((loss, chunk.gradients), (expected, gradients.as_slice().to_vec()))
     }
 
     #[test]
