@@ -5,7 +5,7 @@
     python3 tools/energy_tables.py --from LOG # the tables of an earlier run's output
 
 Simulates the recordings with seed 1, runs the example `energy`, and prints the tables of energy.md,
-outlooks.md and energy-limits.md. The rows of robots need ../shared/data. Networks have seed 1.
+outlooks.md and mission.md. The rows of robots need ../shared/data. Networks have seed 1.
 Standard library only.
 """
 import collections
@@ -133,7 +133,7 @@ def main():
         "energy.md, each half by the other": errors(halves),
         "energy.md, each group by all others": errors(tens),
         "outlooks.md": outlooks(rows),
-        "energy-limits.md": verdicts([row for row in groups if row[0] != "simulated"]),
+        "mission.md": verdicts([row for row in groups if row[0] != "simulated"]),
     }
     print("\n\n".join(f"## {page}\n\n{text}" for page, text in tables.items()))
 

@@ -1,4 +1,4 @@
-//! Gain of the reading-age features: the tables of `docs/measured/freshness.md`, as Markdown on
+//! Gain of the reading-age features: the tables of `docs/measured/benchmark.md`, as Markdown on
 //! stdout.
 //!
 //! `cargo run --release -p joulebus-eval --example freshness -- [--every N] [--seeds N] [NAME..]`

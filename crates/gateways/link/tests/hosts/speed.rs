@@ -273,7 +273,7 @@ fn show(what: &str, robots: usize, cost: Cost) {
 /// Measures zenoh alone, the path to a planner beside the worker, and a link, in turn and with the
 /// same worker and robots.
 #[test]
-#[ignore = "prints figures: docs/measured/links.md"]
+#[ignore = "prints figures: docs/measured/performance.md"]
 fn speed_of_forecasts_over_a_link_beside_zenoh_alone() {
     for robots in [100, 1_000, 10_000] {
         let [mut raws, mut hops, mut relays, mut links] = [const { Vec::new() }; 4];
