@@ -18,13 +18,15 @@ only this host: Linux namespaces give them, and end what still runs. So the comm
 | rust | a whole program: is built as a project with the [dependencies] above it, and runs beside a worker |
 | json | is read |
 
-A comment before a block changes that:
+tools/blocks.toml changes that for the block of a page that `begins` so:
 
-    <!-- not run: REASON -->      it cannot run here, or another program runs it. The reason is printed
-    <!-- before: LINES -->        lines in the block's language that run first: what the page takes for granted
-    <!-- ends with 2: REASON -->  the exit code that the page promises, or that prepared data give
-    <!-- prints: PATTERN -->      what a Rust program prints once it works
-    <!-- needs: PROGRAM -->       programs without which the block is skipped aloud. With CI=true that is a failure
+| key | meaning |
+|---|---|
+| not_run | it cannot run here, or another program runs it: the reason, which is printed |
+| before | lines in the block's language that run first: what the page takes for granted |
+| ends_with | the exit code that the page promises, or that prepared data give |
+| prints | what a Rust program prints once it works |
+| needs | programs without which the block is skipped aloud. With CI=true that is a failure |
 
 What pages take for granted in common is in PREPARED. Where there are no namespaces, nothing runs, and that is said.
 """
@@ -38,6 +40,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -46,7 +49,8 @@ BLOCK_S, PATIENCE_S = 600, 60
 NAMESPACES = ["unshare", "--mount", "--net", "--pid", "--fork", "--kill-child", "--mount-proc"]
 # Without root. Where this is not allowed, root can do without.
 USER = ["--user", "--map-root-user"]
-BLOCK = re.compile(r"((?:^<!--(?:(?!-->)[\s\S])*-->\n+)*)^```([^\n`]*)\n([\s\S]*?)^```$", re.MULTILINE)
+BLOCK = re.compile(r"^```([^\n`]*)\n([\s\S]*?)^```$", re.MULTILINE)
+GIVEN = tomllib.loads((ROOT / "tools/blocks.toml").read_text())
 # Projects of the Rust programs of pages.
 PROJECTS = ROOT / "target/blocks"
 # Where a program without [dependencies] on its page has them.
@@ -131,18 +135,10 @@ class Block:
     line: int
     language: str
     text: str
-    comments: str
-
-    def comment(self, opening):
-        """The rest of the comment that begins so."""
-        found = re.search(rf"<!-- {opening}([\s\S]*?)-->", self.comments)
-        return found and found[1].strip()
-
-    def ends_with(self):
-        return int(re.match(r"\d+", self.comment("ends with") or "0")[0])
+    given: dict
 
     def not_run(self):
-        return self.comment("not run:")
+        return self.given.get("not_run")
 
     def project(self):
         """Name of the project of a Rust program."""
@@ -152,10 +148,13 @@ class Block:
 def blocks(page):
     """All fenced blocks of a page with a language, in order."""
     text = (ROOT / page).read_text()
-    return [
-        Block(page, text.count("\n", 0, found.start(2)) + 1, found[2], found[3], found[1])
-        for found in BLOCK.finditer(text) if found[2]
-    ]
+    found = [Block(page, text.count("\n", 0, one.start()) + 1, one[1], one[2], {}) for one in BLOCK.finditer(text) if one[1]]
+    for given in GIVEN.get(page, []):
+        meant = [block for block in found if block.text.startswith(given["begins"])]
+        if len(meant) != 1:
+            raise SystemExit(f"tools/blocks.toml: {len(meant)} blocks of {page} begin with {given['begins']!r}, and not one")
+        meant[0].given = given
+    return found
 
 
 def pages():
@@ -215,7 +214,7 @@ class Page:
         text = block.text
         lines = text.split("\n")
         command = [line[2:] for line in lines if line.startswith("$ ")]
-        wrong = self.shell((block.comment("before:") or "") + "\n" + "\n".join(command), block.ends_with()) if command else None
+        wrong = self.shell(block.given.get("before", "") + "\n" + "\n".join(command), block.given.get("ends_with", 0)) if command else None
         end = time.monotonic() + PATIENCE_S
         while not wrong:
             logs = [log.read_text(errors="replace") for log in self.lasting.glob("*.log")]
@@ -236,7 +235,7 @@ class Page:
                 "    except BaseException: traceback.print_exc(file=sys.stdout); print('FAILED', flush=True)\n"
             self.interpreter = subprocess.Popen([shutil.which("python", path=self.environment["PATH"]), "-P", "-c", program], text=True,
                                                 stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=self.here, env=self.environment)
-        self.interpreter.stdin.write(repr((block.comment("before:") or "") + "\n" + block.text) + "\n")
+        self.interpreter.stdin.write(repr(block.given.get("before", "") + "\n" + block.text) + "\n")
         self.interpreter.stdin.flush()
         self.printed = ""
         for line in self.interpreter.stdout:
@@ -247,11 +246,11 @@ class Page:
 
     def rust(self, block):
         """Runs a program until it ends well. One that goes on stays beside the next blocks."""
-        program, prints = ROOT / "target/debug" / block.project(), block.comment("prints:") or ""
+        program, prints = ROOT / "target/debug" / block.project(), block.given.get("prints", "")
         # Two sources of the same robots exclude each other.
         ended = "replaced publish none\n" if "Publisher::connect" in block.text else ""
         return self.shell(f"""joulebus run --config configs/fleet.toml
-{ended}{block.comment("before:") or ""}
+{ended}{block.given.get("before", "")}
 code=1
 for _ in $(seq {PATIENCE_S}); do
     code=0
@@ -278,13 +277,13 @@ exit $code""")
             path.write_text("".join(kept) + "\n" + block.text)
         else:
             path.write_text(re.sub(rf"^{key} = [^\n]*\n", lambda _: block.text, before, count=1, flags=re.MULTILINE))
-        return self.shell((block.comment("before:") or "") + "\n" + check)
+        return self.shell(block.given.get("before", "") + "\n" + check)
 
     def compiled(self, block, compiler, suffix):
         text = block.text
         if "main(" not in text:
             text = ("#include <chrono>\n#include <iostream>\n#include <joulebus.hpp>\n#include <thread>\n#include <vector>\nint main() {\n"
-                    f"{block.comment('before:') or ''}\n{text}}}\n")
+                    f"{block.given.get('before', '')}\n{text}}}\n")
         source = self.scratch / f"block{suffix}"
         source.write_text(text)
         done = subprocess.run([*compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", "-Wno-unused", f"-I{ROOT}/crates/languages/c/include", source],
@@ -293,7 +292,7 @@ exit $code""")
 
     def lacks(self, block):
         """What is missing here that this block needs."""
-        needed = (block.comment("needs:") or "").split()
+        needed = block.given.get("needs", "").split()
         needed += {"c": ["cc"], "cpp": ["c++"]}.get(block.language, [])
         missing = [name for name in needed if not shutil.which(name, path=self.environment["PATH"])]
         if block.language == "python" and subprocess.run(["python", "-P", "-c", "import joulebus"], env=self.environment, capture_output=True).returncode:
@@ -303,7 +302,7 @@ exit $code""")
     def run(self, block):
         match block.language:
             case "sh":
-                return self.shell((block.comment("before:") or "") + "\n" + block.text, block.ends_with())
+                return self.shell(block.given.get("before", "") + "\n" + block.text, block.given.get("ends_with", 0))
             case "console":
                 return self.console(block)
             case "python":
@@ -319,7 +318,7 @@ exit $code""")
             case "json":
                 json.loads(block.text)
                 return None
-        return f"nothing runs blocks of {block.language}: give a reason with <!-- not run: … -->"
+        return f"nothing runs blocks of {block.language}: give a reason, `not_run` in tools/blocks.toml"
 
     def close(self):
         """Ends what lasts. Returns what went wrong."""
@@ -362,7 +361,7 @@ def inside(name, programs, scratch):
     """One page, in its namespaces: prints what fails and returns how many blocks did."""
     found = [block for block in blocks(name) if not block.not_run()]
     page = Page(Path(scratch), programs)
-    text = "\n".join(block.text + (block.comment("before:") or "") for block in found)
+    text = "\n".join(block.text + block.given.get("before", "") for block in found)
     failed = 0
     for pattern, recipe in PREPARED.items():
         if re.search(pattern, text):

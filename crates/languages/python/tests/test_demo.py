@@ -41,7 +41,7 @@ def test_it_answers_yes_at_once_and_raises_no_alarm():
 def test_the_first_lines_of_the_documentation_say_yes(capsys):
     pytest.importorskip("pandas")
     page = (ROOT / "docs/tutorial/python.md").read_text()
-    lines = page.split("<!-- the demo -->")[1].split("```python\n")[1].split("```")[0]
+    lines = page.split("## 2. A fleet")[1].split("```python\n")[1].split("```")[0]
     exec(compile(lines, "docs/tutorial/python.md", "exec"), {})
     assert capsys.readouterr().out.startswith("yes ")
 

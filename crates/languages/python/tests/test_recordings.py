@@ -83,7 +83,7 @@ def test_the_lines_of_the_document_make_of_it_what_rerun_plots(capture, tmp_path
     # It is large: tested where it is installed.
     rerun = pytest.importorskip("rerun")
     page = (ROOT / "docs/how-to/python-lab.md").read_text()
-    lines = page.split("<!-- Rerun -->")[1].split("```python\n")[1].split("```")[0]
+    lines = page.split("## Plot a capture in Rerun")[1].split("```python\n")[1].split("```")[0]
     monkeypatch.chdir(tmp_path)
     (tmp_path / "run.mcap").symlink_to(capture[0])
     exec(compile(lines, "docs/how-to/python-lab.md", "exec"), {})
