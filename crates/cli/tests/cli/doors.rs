@@ -312,7 +312,9 @@ fn cells(
             }
             line.push(cell(door, kind, &output(&words)));
         }
-        lines.push((format, line.join(" | ")));
+        let alike = line[2..].iter().all(|cell| *cell == line[2]);
+        assert!(alike, "{kind}: {planted}, {format}: verbs differ: {line:?}");
+        lines.push((format, line[..3].join(" | ")));
     }
     lines
 }
@@ -331,12 +333,9 @@ fn no_door_is_silent_about_any_kind_in_any_format() {
         let threads: Vec<_> = all.map(|(number, planted)| start((number, *planted))).collect();
         threads.into_iter().map(|thread| thread.join().unwrap()).collect()
     });
-    let doors: Vec<&str> = DOORS.iter().map(|(door, _)| *door).collect();
-    let mut text = format!(
-        "| finding | planted | in | {} |\n|{}\n",
-        doors.join(" | "),
-        "---|".repeat(3 + DOORS.len())
-    );
+    let mut text = "| finding | planted | in | data check | import | each other verb |\n\
+        |---|---|---|---|---|---|\n"
+        .to_owned();
     for ((kind, planted), lines) in PLANTED.iter().zip(found) {
         let mut same: Vec<(Vec<&str>, String)> = Vec::new();
         for (format, line) in lines {
