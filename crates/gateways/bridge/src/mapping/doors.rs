@@ -1,5 +1,4 @@
-//! Every kind of finding in every format that comes in live. docs/explanation/bridges.md has the
-//! table.
+//! Every kind of finding in every format that comes in live.
 
 use joulebus_plausibility::Expired;
 use joulebus_publisher::Charger;
@@ -303,6 +302,5 @@ fn no_format_is_silent_about_any_kind() {
         text += &format!("| {kind} | {} | {cells} |\n", planted.1);
     }
     text.push('\n');
-    // docs/explanation/bridges.md has it from here.
     assert_eq!(text, TABLE, "write this table:\n{text}");
 }
