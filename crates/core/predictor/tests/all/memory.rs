@@ -1,4 +1,4 @@
-//! Every unsafe block on small inputs, for Miri (command: docs/reference/checks.md): uninitialised
+//! Every unsafe block on small inputs, for Miri (command: CONTRIBUTING.md): uninitialised
 //! scratch, unaligned loads, tails of every length, parts of rollouts.
 
 use joulebus_predictor::{
