@@ -148,6 +148,8 @@ class Block:
 def blocks(page):
     """All fenced blocks of a page with a language, in order."""
     text = (ROOT / page).read_text()
+    if re.search(r"^<!--", text, re.MULTILINE):
+        raise SystemExit(f"{page} has a comment: what it says about a block belongs into tools/blocks.toml")
     found = [Block(page, text.count("\n", 0, one.start()) + 1, one[1], one[2], {}) for one in BLOCK.finditer(text) if one[1]]
     for given in GIVEN.get(page, []):
         meant = [block for block in found if block.text.startswith(given["begins"])]
@@ -454,6 +456,8 @@ def excused(names):
 
 
 def main():
+    if strange := sorted(set(GIVEN) - set(pages())):
+        raise SystemExit(f"tools/blocks.toml: there are no such pages: {strange}")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--programs", default=ROOT / "target/debug", help="the folder of joulebus and its other programs")
     parser.add_argument("--list", action="store_true", help="only the blocks that do not run")

@@ -127,8 +127,7 @@ pub enum TextRule {
     Name,
     /// 1 to 8 lower-case letters, digits and `_`.
     Prefix,
-    /// An absolute path, of at most 51 bytes together with prefix and name of the fleet. `{uid}` is
-    /// replaced by the uid.
+    /// An absolute path of at most 60 bytes. `{uid}` is replaced by the uid.
     Root,
     /// `auto`, a path, relative to the file that contains it, or empty.
     StateFile,
@@ -284,10 +283,7 @@ impl TextRule {
         match self {
             Self::Name => "1 to 32 letters, digits, - and _",
             Self::Prefix => "1 to 8 lower-case letters, digits and _",
-            Self::Root => {
-                "absolute path, of at most 51 bytes together with prefix and name; {uid} is \
-                 replaced by the user id"
-            }
+            Self::Root => "absolute path of at most 60 bytes; {uid} is replaced by the user id",
             Self::StateFile => "\"auto\", a path relative to this file, or empty",
             Self::Voltages => "2 to 21 rising voltages like \"3.0, 3.6, 4.2\", or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
