@@ -12,9 +12,11 @@ const AGE: f32 = 0.6;
 /// that stood still for a day has drawn several batteries.
 const MAX_STEP: f32 = 0.1;
 const MAX_OFF: f32 = 0.2;
-/// Prior of the scatter: as much as two pairs.
+/// Prior of the scatter: as much as two pairs that are 5 % off.
 const PRIOR_PAIRS: f32 = 2.0;
-const PRIOR_SD: f32 = 0.05;
+const PRIOR: f32 = PRIOR_PAIRS * 0.05 * 0.05;
+const MAX_WEIGHT: f32 = 1.0 / (1.0 - AGE);
+const MAX_SD: f32 = 1.0;
 /// Shares of the stated capacity within which every estimate is.
 const BOUNDS: (f32, f32) = (0.1, 1.5);
 
@@ -25,30 +27,38 @@ const BOUNDS: (f32, f32) = (0.1, 1.5);
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Capacity {
     /// The best estimate. 0 before the first pair.
-    value: f32,
-    /// Sums over the pairs: weights, their squares, capacities, squares of what each was off the
-    /// estimate before it, and variances of the depths.
-    weights: f32,
-    squares: f32,
-    capacities: f32,
-    offs: f32,
-    depths: f32,
+    pub value: f32,
+    /// Sum of the pairs' weights, at most 2.5. 0 before the first pair.
+    pub weight: f32,
+    /// Relative standard deviation of the next pair about the estimate: by how far pairs were off,
+    /// and by the error of their depths. 0 before the first pair.
+    pub sd: f32,
 }
 
 impl Capacity {
     /// The best estimate. `None` before the first pair.
     #[must_use]
     pub fn value(&self) -> Option<f32> {
-        (self.value > 0.0).then_some(self.value)
+        (self.weight > 0.0).then_some(self.value)
+    }
+
+    /// True if it can have been learned where this was the stated capacity.
+    #[must_use]
+    pub fn is_sound(&self, stated: f32) -> bool {
+        (BOUNDS.0 * stated..=BOUNDS.1 * stated).contains(&self.value)
+            && (0.0..=MAX_WEIGHT).contains(&self.weight)
+            && (0.0..=MAX_SD).contains(&self.sd)
+            && self.weight > 0.0
     }
 
     /// Learns from an amount that was drawn while the charge fell by `depth`, a share whose standard
     /// deviation is `depth_sd`. `stated` is the capacity before the first pair. Returns whether the
-    /// pair counts: deep enough, positive and finite.
+    /// pair counts: deep enough, finite, and not of less than the smallest capacity, so that
+    /// nobody can state a smaller one without drawing energy.
     pub fn learn(&mut self, stated: f32, drawn: f32, (depth, depth_sd): (f32, f32)) -> bool {
         let capacity = drawn / depth;
         let counts = (MIN_DEPTH..=1.0).contains(&depth)
-            && capacity > 0.0
+            && capacity >= BOUNDS.0 * stated
             && capacity.is_finite()
             && (0.0..=1.0).contains(&depth_sd)
             && stated > 0.0
@@ -58,40 +68,32 @@ impl Capacity {
         }
         let before = self.value().unwrap_or(stated);
         let off = (capacity / before - 1.0).clamp(-MAX_OFF, MAX_OFF);
-        let add = |sum: f32, amount: f32| AGE * sum + depth * amount;
+        let weight = AGE * self.weight + depth;
+        let newest = depth / weight;
+        let relative = depth_sd / depth;
+        let scatter = self.scatter() + newest * (off * off + relative * relative - self.scatter());
+        let moved = 1.0 + (newest * off).clamp(-MAX_STEP, MAX_STEP);
+        let pairs = pairs(weight);
         *self = Self {
-            value: 0.0,
-            weights: add(self.weights, 1.0),
-            squares: AGE * AGE * self.squares + depth * depth,
-            capacities: add(self.capacities, before * (1.0 + off)),
-            offs: add(self.offs, off * off),
-            depths: add(self.depths, (depth_sd / depth).powi(2)),
+            value: (before * moved).clamp(BOUNDS.0 * stated, BOUNDS.1 * stated),
+            weight: weight.min(MAX_WEIGHT),
+            sd: ((pairs * scatter + PRIOR) / (pairs + PRIOR_PAIRS)).sqrt().min(MAX_SD),
         };
-        let mean = self.capacities / self.weights;
-        let moved = mean.clamp(before * (1.0 - MAX_STEP), before * (1.0 + MAX_STEP));
-        self.value = moved.clamp(BOUNDS.0 * stated, BOUNDS.1 * stated);
         true
     }
 
-    /// The battery is another one: what was learned of its size stays, and the pairs do not.
-    pub fn exchange(&mut self) {
-        *self = Self { value: self.value, ..Self::default() };
+    /// Mean square of what pairs were off, by the deviation that contains it.
+    fn scatter(&self) -> f32 {
+        let pairs = pairs(self.weight);
+        let of_pairs = self.sd * self.sd * (pairs + PRIOR_PAIRS) - PRIOR;
+        if pairs > 0.0 { (of_pairs / pairs).max(0.0) } else { 0.0 }
     }
+}
 
-    /// Relative standard deviation of the next pair about the estimate: by how far pairs were off,
-    /// and by the step of the gauge. `None` before the first pair.
-    #[must_use]
-    pub fn relative_sd(&self) -> Option<f32> {
-        self.value()?;
-        let prior = PRIOR_PAIRS * PRIOR_SD * PRIOR_SD;
-        // Without pairs, as after an exchange, the prior alone is known.
-        if self.weights.is_nan() || self.weights <= 0.0 {
-            return Some(PRIOR_SD * 2.0);
-        }
-        let pairs = self.weights * self.weights / self.squares;
-        let variance = (pairs * self.offs / self.weights + prior) / (pairs + PRIOR_PAIRS);
-        Some((variance + self.depths / self.weights / pairs).sqrt())
-    }
+/// Number of pairs of the same weight that are worth as much as these: (Σw)² / Σw² for weights that
+/// fall by [`AGE`].
+fn pairs(weight: f32) -> f32 {
+    weight * (1.0 + AGE) / (2.0 - (1.0 - AGE) * weight)
 }
 
 #[cfg(test)]
@@ -121,33 +123,35 @@ mod tests {
                 prop_assert!(is_deep || !counts);
                 prop_assert!(counts || learned == before);
                 if let Some(value) = learned.value() {
-                    prop_assert!((1.0..=15.0).contains(&value), "{}", value);
+                    prop_assert!(learned.is_sound(10.0), "{:?}", learned);
                     prop_assert!((value / from - 1.0).abs() < 0.1 + 1e-5, "{} to {}", from, value);
-                    let sd = learned.relative_sd().unwrap();
-                    prop_assert!(sd > 0.0 && sd < 3.5, "{}", sd);
+                    prop_assert!(learned.sd > 0.0, "{:?}", learned);
                 }
             }
         }
     }
 
     #[test]
-    fn a_worn_battery_is_learned_within_its_interval_and_an_exchange_keeps_the_estimate() {
+    fn a_worn_battery_is_learned_within_its_interval_and_deep_pairs_count_more() {
         let mut learned = Capacity::default();
-        assert_eq!((learned.value(), learned.relative_sd()), (None, None));
+        assert_eq!(learned.value(), None);
         for cycle in 0..30 {
             let off = 1.0 + 0.02 * (cycle as f32 * 1.7).sin();
             assert!(learned.learn(10.0, 0.7 * 6.0 * off, (0.7, 0.01)));
         }
-        let (value, sd) = (learned.value().unwrap(), learned.relative_sd().unwrap());
+        let Capacity { value, sd, .. } = learned;
         assert!((value - 6.0).abs() < 0.15 && (0.02..0.06).contains(&sd), "{value} ± {sd}");
-        learned.exchange();
-        assert_eq!(learned.value(), Some(value));
-        assert!(learned.relative_sd().unwrap() > sd);
-        // Deep pairs count more than shallow ones.
         let mut mixed = Capacity::default();
         for (drawn, depth) in [(9.0, 1.0), (0.3 * 11.0, 0.3)] {
             assert!(mixed.learn(10.0, drawn, (depth, 0.0)));
         }
-        assert!(mixed.value().unwrap() < 10.0, "{mixed:?}");
+        assert!(mixed.value < 10.0, "{mixed:?}");
+        // A gauge of three steps is believed less than a fine one.
+        let [fine, coarse] = [0.01, 0.3].map(|sd| {
+            let mut learned = Capacity::default();
+            assert!(learned.learn(10.0, 6.0, (1.0, sd)));
+            learned.sd
+        });
+        assert!(coarse > 1.5 * fine, "{fine} {coarse}");
     }
 }

@@ -70,7 +70,7 @@ fn the_minutes_of_a_robot_whose_battery_ages_are_forecast_from_the_discharges_be
     }
     let inside = (LEARNED..minutes.len()).filter(|at| {
         let off = minutes[*at] / rule(*at) - 1.0;
-        off.abs() <= 2.0 * learned[*at].relative_sd().unwrap()
+        off.abs() <= 2.0 * learned[*at].sd
     });
     let inside = inside.count() as f32 / (minutes.len() - LEARNED) as f32;
     println!("inside the interval: {:.1} %", 100.0 * inside);

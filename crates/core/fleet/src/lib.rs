@@ -16,7 +16,7 @@ pub use fleet::Fleet;
 pub use fleet::online_forecasts::{IntervalForecast, OnlineForecasts, OnlineSettings};
 pub use ingest::frame::{FrameIntake, TickIntake};
 pub use joulebus_energy::ErrorCounts;
-pub use ledger::battery::{SavedBattery, SavedPause};
+pub use ledger::battery::{SavedBattery, SavedLessons, SavedPause};
 pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};
 pub use tick::batch::Batch;

@@ -509,17 +509,33 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     // A battery with a measured charge below the counted one may be another battery.
     let is_known =
         budget.flags & (budget_flag::CHARGE | budget_flag::CONTRADICTED) == budget_flag::CHARGE;
+    let learned = budget.capacity_j().map(|(joules, sd_j)| (f64::from(joules), f64::from(sd_j)));
+    let (capacity_j, sd_j) = learned.unwrap_or((settings.capacity_j, 0.0));
+    // The monitor that counts a plan's energy has learned the capacity, so its error is that of the
+    // energy left.
+    let (counted_sd, counting_sd) = match learned {
+        Some(_) => (sd_j / capacity_j, 0.0),
+        None => (settings.counting_sd, settings.counting_sd),
+    };
+    let reserve_j = settings.reserve * capacity_j;
+    let soc_lo_j = f64::from(budget.soc_lo) * capacity_j;
+    let learned_lo_j = f64::from(budget.usable_lo_j) + reserve_j.min(soc_lo_j);
+    let left_j = f64::from(budget.left_j);
+    let spare = EnergyLeft::stated(
+        left_j - reserve_j,
+        f64::from(budget.soc_sd) * capacity_j,
+        counted_sd * (capacity_j - left_j),
+    );
     let battery = Battery {
         left_j: budget.left_j,
-        left_lo_j: (f64::from(budget.soc_lo) * settings.capacity_j) as f32,
+        left_lo_j: (if learned.is_some() { learned_lo_j } else { soc_lo_j }) as f32,
         usable_j: budget.usable_j,
         usable_lo_j: budget.usable_lo_j,
-        spare: EnergyLeft::stated(
-            f64::from(budget.left_j) - settings.reserve * settings.capacity_j,
-            f64::from(budget.soc_sd) * settings.capacity_j,
-            settings.counting_sd * (settings.capacity_j - f64::from(budget.left_j)),
-        ),
-        counting_sd: settings.counting_sd,
+        spare: EnergyLeft {
+            monitor: spare.monitor - sd_j * spare.left.max(0.0) / capacity_j,
+            ..spare
+        },
+        counting_sd,
     };
     let all = [battery.left_j, battery.left_lo_j, battery.usable_j, battery.usable_lo_j];
     let is_finite = all.iter().all(|joules| joules.is_finite()) && budget.soc_sd >= 0.0;

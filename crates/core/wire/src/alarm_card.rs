@@ -284,6 +284,18 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         keys: &["alarms.level_limit"],
         found_within: "seconds if the power halves (after five seconds of known commands)",
     },
+    AlarmCard {
+        name: "BatteryWorn",
+        level: Level::Warn,
+        meaning: "The capacity that the worker has learned of the robot's battery is below 80 % of \
+            the stated one, at the upper end of its interval. Budgets and answers count with the \
+            learned one.",
+        check: "Exchange the battery and state it: `joulebus battery ROBOT --exchanged`. If it is \
+            new, check `capacity_wh`, the gain of the power monitor, and the state of charge that \
+            the source sends.",
+        keys: &["platform.battery.capacity_wh"],
+        found_within: "five discharges by 70 % or more",
+    },
 ];
 
 #[cfg(test)]

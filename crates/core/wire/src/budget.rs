@@ -29,14 +29,14 @@ bits! {
 }
 
 rows! {
-    /// One robot's budget. 144 bytes.
+    /// One robot's budget. 176 bytes.
     ///
     /// The ledger part (`drawn_uj`, `drawn_remainder`, `metered_ns`, `unmetered_ns`, `stamp_ns`) is
     /// exact: `metered_ns + unmetered_ns` is the time from the first sample to `stamp_ns`. The
     /// energy left is counted from it and fused with measured states of charge. The truth lies
     /// between the bounds (`_lo`, `_hi`) with 95 % where the errors are as the platform's config
     /// says. They widen with unmetered time by all that the robot could have drawn.
-    pub struct Budget: "joulebus.Budget.v3", 144 {
+    pub struct Budget: "joulebus.Budget.v4", 176 {
         /// Id of the robot.
         pub robot: u32,
         /// [`budget_flag`] bits.
@@ -99,15 +99,61 @@ rows! {
         pub pause_s: f32,
         /// By how much that time has lowered `soc_lo` at most, as a share.
         pub pause: f32,
+        /// Learned capacity, J: energy left is the charge times it. NaN before anything is learned,
+        /// when the stated one counts.
+        pub capacity_j: f32,
+        /// Its standard deviation, J. NaN before anything is learned.
+        pub capacity_sd_j: f32,
+        /// Weight of the pairs of known charges that it is learned from: 1 for one from full to
+        /// empty, at most 2.5. 0 before anything is learned.
+        pub capacity_weight: f32,
+        /// Charging rate in each tenth of the charge, in thousandths of the capacity an hour. 0 if
+        /// unknown.
+        pub charge_rate: [u16; CHARGE_TENTHS],
         /// 0.
-        pub reserved: f32,
+        pub reserved: u32,
     }
 }
+
+/// Parts of the charge whose charging rates are learned.
+pub const CHARGE_TENTHS: usize = 10;
+/// The tenths from here on are as fast as each has been shown to be: there charging slows down. Those
+/// before it are alike.
+const TAPER: usize = 8;
 
 impl Budget {
     /// Energy drawn over the metered time, J.
     pub fn drawn_j(&self) -> f64 {
         self.drawn_uj as f64 * 1e-6
+    }
+
+    /// The learned capacity and its standard deviation, J. `None` before anything is learned.
+    pub fn capacity_j(&self) -> Option<(f32, f32)> {
+        let is_learned = self.capacity_j > 0.0 && self.capacity_sd_j > 0.0;
+        is_learned.then_some((self.capacity_j, self.capacity_sd_j))
+    }
+
+    /// Time on the charger between two states of charge, s. 0 if `to` is no more. `None` if a rate
+    /// is unknown: below 80 %, the nearest known one is taken.
+    #[must_use]
+    pub fn charging_s(&self, from: f64, to: f64) -> Option<f64> {
+        if !(0.0..=1.0).contains(&from) || !(0.0..=1.0).contains(&to) {
+            return None;
+        }
+        let rates = self.charge_rate;
+        let known = |tenth: usize| {
+            let nearest = (0..TAPER).filter(|other| rates[*other] > 0);
+            let nearest = || nearest.min_by_key(|other| other.abs_diff(tenth));
+            let tenth = if tenth < TAPER { nearest()? } else { tenth };
+            (rates[tenth] > 0).then_some(f64::from(rates[tenth]))
+        };
+        let seconds = (0..CHARGE_TENTHS).map(|tenth| {
+            let share =
+                |charge: f64| (charge * CHARGE_TENTHS as f64 - tenth as f64).clamp(0.0, 1.0);
+            let part = (share(to) - share(from)) / CHARGE_TENTHS as f64;
+            if part <= 0.0 { Some(0.0) } else { Some(3.6e6 * part / known(tenth)?) }
+        });
+        seconds.sum()
     }
 
     /// What time without readings has cost the lower bound, and what to do. `None` unless it is a

@@ -220,6 +220,8 @@ pub enum Alarm {
     LevelHigh,
     /// Drawing less than it did before for the same commands.
     LevelLow,
+    /// The learned capacity of the battery is below four fifths of the stated one.
+    BatteryWorn,
     /// No alarm.
     None,
     /// Written by something newer than this reader.
@@ -232,7 +234,7 @@ names! {
     pub Alarm:
         NoData OutOfRange StuckSensor HeldTooLong BiasHigh BiasLow NoiseHigh ModelMismatch
         OutOfTraining OfflineCharging DeadlineMissed WatchdogStop CannotReturn BatteryCritical
-        BatteryLow SocImplausible LevelHigh LevelLow
+        BatteryLow SocImplausible LevelHigh LevelLow BatteryWorn
         ;
         None Unknown
 }

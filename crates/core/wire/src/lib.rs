@@ -25,7 +25,7 @@ pub use acknowledgement::{
     text,
 };
 pub use alarm_card::AlarmCard;
-pub use budget::{Budget, BudgetHeader, ChargeState, budget_flag};
+pub use budget::{Budget, BudgetHeader, CHARGE_TENTHS, ChargeState, budget_flag};
 pub use channel::{
     Acknowledgements, Budgets, Channel, Diagnostics, Flow, ForEachChannel, Forecasts, FrameHeader,
     FrameOrder, FrameRows, Outlooks, PlanStates, Queries, Samples, State, Ticks, each_channel,

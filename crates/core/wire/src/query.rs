@@ -38,7 +38,9 @@ pub const ANSWER_RULES: u32 = 6;
 /// 9: levels of all robots are judged, by the scatter that the platform remembers. BiasHigh and
 /// BiasLow are retired. What one robot moves of the memory is bounded in any fleet. A robot may say
 /// that it is switched off, and persons state batteries.
-pub const TICK_RULES: u32 = 9;
+///
+/// 10: the capacity of batteries and their charging rates are learned.
+pub const TICK_RULES: u32 = 10;
 
 /// Maximum number of values of a question.
 pub const MAX_QUERY_VALUES: usize = 4_096;

@@ -114,17 +114,19 @@ impl Fleet {
         };
         if let Some(slot) = slot {
             let mut known = lanes::get(&self.columns.batteries, slot);
-            known.state(battery, at(&lanes::get(&self.columns.ledgers, slot)), statement);
+            let at = at(&lanes::get(&self.columns.ledgers, slot));
+            known.state((battery, platform), at, statement);
             return lanes::set(&mut self.columns.batteries, slot, known);
         }
         let is_new = self.departed.ledger(robot).is_none();
-        if is_new && !self.departed.has_room() {
+        // It takes no place that a robot of the fleet will need when it leaves.
+        if is_new && !self.departed.has_room_for(self.len()) {
             return;
         }
         let account = self.departed.take(robot).unwrap_or(Account::new(robot));
         let used = account.charged || (is_new && self.departed.is_lost(robot));
         let mut known = BatteryState::joining(battery, account.battery, used, &account.ledger);
-        known.state(battery, at(&account.ledger), statement);
+        known.state((battery, platform), at(&account.ledger), statement);
         self.departed.keep(Account { battery: Known::Kept(known), ..account });
     }
 

@@ -6,9 +6,11 @@
 //! metered energy: a gap ends, or the battery is charged, measured, or exchanged. So each gap is
 //! valued once.
 
-use joulebus_energy::EnergyLeft;
+use joulebus_energy::{Capacity, EnergyLeft};
 use joulebus_settings::{Battery, ChargeReading, Platform};
-use joulebus_wire::{Budget, Sample, Statement, budget_flag, sample_flag};
+use joulebus_wire::{
+    Alarm, AlarmSet, Budget, CHARGE_TENTHS, Sample, Statement, budget_flag, sample_flag,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::ingest::last_sample::LastLanes;
@@ -17,6 +19,7 @@ use crate::layout::shift::Shift;
 use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
 use crate::ledger::gap::GapPower;
+use crate::ledger::lessons::Lessons;
 use crate::ledger::measured::{Measured, Seen};
 use crate::state::added;
 
@@ -31,6 +34,8 @@ const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
 const FULL: u8 = 1;
 const SWAPPED: u8 = 2;
 const OFF: u8 = 4;
+/// A correction of the charge by more than this is not what was charged.
+const MAX_CORRECTION: f64 = 0.03;
 /// Time constant of the power at rest, s.
 const IDLE_S: f32 = 60.0;
 
@@ -80,8 +85,8 @@ pub(crate) struct BatteryState {
     drawn_uj: i64,
     metered_ns: u64,
     unmetered_ns: u64,
-    /// Metered change of the state of charge since the robot joined: measured values are compared
-    /// with it.
+    /// Change of the state of charge since the robot joined, but by charging that is not metered:
+    /// measured values are compared with it.
     pub counted: f64,
     /// Error of the measured state of charge, its variance, and its covariance with `soc`.
     pub bias: f64,
@@ -143,6 +148,14 @@ pub(crate) struct BatteryState {
     pub pause_s: f32,
     #[serde(deserialize_with = "added::read_0x11")]
     pub pause: f32,
+    /// Learned capacity as a share of the stated one, and its relative standard deviation: 0 before
+    /// anything is learned.
+    #[serde(deserialize_with = "added::read_0x12")]
+    pub capacity: f32,
+    #[serde(deserialize_with = "added::read_0x12")]
+    pub capacity_sd: f32,
+    #[serde(deserialize_with = "added::read_0x12")]
+    pub lessons: Lessons,
 }
 
 block! {
@@ -196,6 +209,12 @@ block! {
         pub pause_s: f32,
         #[serde(deserialize_with = "added::read_0x11")]
         pub pause: f32,
+        #[serde(deserialize_with = "added::read_0x12")]
+        pub capacity: f32,
+        #[serde(deserialize_with = "added::read_0x12")]
+        pub capacity_sd: f32,
+        #[serde(deserialize_with = "added::read_0x12")]
+        pub lessons: Lessons,
     }
 }
 
@@ -288,6 +307,9 @@ impl BatteryState {
             idle_w: f32::NAN,
             pause_s: 0.0,
             pause: 0.0,
+            capacity: 0.0,
+            capacity_sd: 0.0,
+            lessons: Lessons::default(),
         }
     }
 
@@ -338,6 +360,10 @@ impl BatteryState {
             idle_w: _,
             pause_s: _,
             pause: _,
+            capacity: _,
+            capacity_sd: _,
+            // Its times are durations.
+            lessons: _,
         } = self;
         for instant_ns in [measured_ns, jump_ns, interrupted_ns] {
             shift.instant(instant_ns);
@@ -407,6 +433,7 @@ impl BatteryState {
     /// Same as [`BatteryState::after`], with a gap that has not ended.
     #[inline(always)]
     pub(crate) fn now(&self, counting: &Counting, at: At, charging: Charging) -> EnergyLeft {
+        let counting = &counting.of(self.size());
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
         let readings_w = (self.reading_w, self.mean_w);
         let gap = GapPower::open(counting, readings_w, unmetered_ns, charging.unmetered);
@@ -418,6 +445,7 @@ impl BatteryState {
     /// most, as a share, with a gap that has not ended at `at`.
     #[inline(always)]
     pub(crate) fn paused(&self, counting: &Counting, at: At) -> (f32, f32) {
+        let counting = &counting.of(self.size());
         let unmetered_s = self.unmetered_s(at);
         let most_w = match self.off {
             true => GapPower::off(counting, self.idle_w).most_w,
@@ -440,11 +468,20 @@ impl BatteryState {
     }
 
     /// Moves the anchor to `at`, where the gap since it ends.
-    fn settle(&mut self, counting: &Counting, at: At, gap: &GapPower, charging: Charging) {
+    /// `is_short`: its power is known.
+    fn settle(
+        &mut self,
+        counting: &Counting,
+        at: At,
+        (gap, is_short): (&GapPower, bool),
+        charging: Charging,
+    ) {
         let now = self.after(counting, at, gap, charging);
         let blind = charging.metered & matches!(counting.reading, ChargeReading::Load);
         let counted = counted(counting, self.drawn(counting, at), charging.metered);
+        let in_gap = gap.mean_w * self.unmetered_s(at) * counting.per_joule;
         self.counted += if blind { 0.0 } else { counted };
+        self.counted -= if is_short && !charging.unmetered { in_gap } else { 0.0 };
         // Beyond this nothing is known anyway, and the sum of years stays finite.
         (self.soc, self.sd) = (now.left, now.own_sd.min(1.0));
         (self.below, self.above, self.range_sd) = (now.below, now.above, now.range_sd);
@@ -464,13 +501,27 @@ impl BatteryState {
     }
 
     /// Takes what a person states of the battery at `at`.
-    pub(crate) fn state(&mut self, battery: &Battery, at: At, statement: Statement) {
-        match statement {
-            Statement::NewNormal => {}
-            Statement::Charge(soc) => self.know((soc.into(), battery.sensor_sd), at),
-            Statement::Full => self.know((battery.on_full_soc, FULL_SD), at),
-            Statement::Exchanged => self.exchange(battery, at),
+    pub(crate) fn state(
+        &mut self,
+        (battery, platform): (&Battery, &Platform),
+        at: At,
+        statement: Statement,
+    ) {
+        let (soc, sd) = match statement {
+            Statement::NewNormal => return,
+            Statement::Exchanged => return self.exchange(battery, at),
+            Statement::Charge(soc) => (soc.into(), battery.sensor_sd),
+            Statement::Full => (battery.on_full_soc, FULL_SD),
+        };
+        let counting = Counting::new(battery, platform).of(self.size());
+        let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
+        if self.charging || unmetered_ns > platform.stale_after_ns {
+            self.end_drive(battery);
         }
+        self.counted -= if self.charging { 0.0 } else { self.drawn(&counting, at) };
+        self.know((soc, sd), at);
+        self.learn(battery, (soc, self.counted, sd));
+        self.lessons.begin((soc, self.counted, sd));
     }
 
     /// True if a sample has to be taken robot by robot. `unmetered_ns`: of the ledger after it.
@@ -494,8 +545,9 @@ impl BatteryState {
         mean_w: f32,
         seen: &Seen,
     ) {
-        let counting = Counting::new(battery, platform);
+        let counting = Counting::new(battery, platform).of(self.size());
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);
+        let metered_ns = at.metered_ns.saturating_sub(self.metered_ns);
         let is_interrupted = seen.broken || unmetered_ns > platform.stale_after_ns;
         let joins = self.interrupted_ns == 0;
         if is_interrupted || self.measured_ns == 0 {
@@ -507,7 +559,11 @@ impl BatteryState {
         };
         let before_w = if self.mean_w.is_nan() { mean_w } else { self.mean_w };
         let readings_w = (self.reading_w, seen.reading_w);
-        let is_full = self.events & FULL != 0;
+        let (is_full, was_full) = (self.events & FULL != 0, self.full);
+        // Until now it is as full as its charger says.
+        if is_interrupted || charging.unmetered && !was_full {
+            self.end_drive(battery);
+        }
         if is_full && self.full && !is_interrupted && !joins {
             // It is kept full, whatever the charger and the robot draw.
             self.anchor(at);
@@ -522,7 +578,7 @@ impl BatteryState {
             let gap = if self.off { GapPower::off(&counting, self.idle_w) } else { gap };
             let before = At { unmetered_ns: self.unmetered_ns, ..at };
             let before = self.after(&counting, before, &gap, charging).left;
-            self.settle(&counting, at, &gap, charging);
+            self.settle(&counting, at, (&gap, !is_interrupted), charging);
             // The robot runs, so it was charged meanwhile, or its battery was exchanged.
             let share_drawn = gap.mean_w * unmetered_ns as f64 * 1e-9 * counting.per_joule;
             let any = unmetered_ns > 0 && !charging.unmetered;
@@ -531,7 +587,11 @@ impl BatteryState {
                 (self.monitor, self.range_sd) = (0.0, 0.0);
             }
         }
+        let settled = self.soc;
         self.charging = seen.charging;
+        if was_full && !is_interrupted && !seen.charging {
+            self.lessons.begin((battery.on_full_soc, self.counted, FULL_SD));
+        }
         if self.events & SWAPPED != 0 {
             self.exchange(battery, at);
         }
@@ -541,12 +601,80 @@ impl BatteryState {
             self.know((battery.on_full_soc, FULL_SD), at);
             self.jump = jump;
         }
+        if is_full {
+            self.lessons.begin((battery.on_full_soc, self.counted, FULL_SD));
+        }
         self.off = self.events & OFF != 0;
         (self.full, self.events) = (is_full, 0);
+        let mut is_known = counting.stored(0.0).is_some();
+        let mut goes_on = charging.metered && !is_interrupted;
         if !self.input.is_nan() && self.is_due(seen.stamp_ns) {
             let measured = Measured::new(self.input, battery, self.input_by_voltage);
-            self.fuse(measured, seen.stamp_ns);
+            let is_believed = self.fuse(measured, seen.stamp_ns);
+            if is_believed {
+                self.begin_measured();
+            }
+            is_known |= is_believed;
         }
+        if counting.stored(0.0).is_some() {
+            goes_on &= (self.soc - settled).abs() <= MAX_CORRECTION;
+        }
+        let elapsed_ns = goes_on.then_some(metered_ns.saturating_add(unmetered_ns));
+        self.lessons.charge(is_known.then_some(self.soc), elapsed_ns);
+    }
+
+    /// A drive from charge to charge has ended: its last measured value ends a pair, if it is believed
+    /// and another one began it.
+    fn end_drive(&mut self, battery: &Battery) {
+        let is_measured = self.lessons.is_measured();
+        if is_measured && !AlarmSet(self.raised).has(Alarm::SocImplausible) {
+            self.learn(battery, (self.measured, self.equal_counted, 0.0));
+        }
+        self.lessons.end();
+    }
+
+    /// A believed value that has just changed begins a pair of measured values. At its upper end a
+    /// sensor is useless.
+    fn begin_measured(&mut self) {
+        let changed = self.equal_counted.to_bits() == self.counted.to_bits();
+        let begins = !self.charging && !self.lessons.is_measured() && self.measured < 1.0;
+        if changed && begins {
+            self.lessons.begin((self.measured, self.counted, 0.0));
+        }
+    }
+
+    /// Learns the capacity from the pair that this known charge ends: its share, what was counted
+    /// until it, and its standard deviation, 0 for a measured one.
+    ///
+    /// Until something is learned, a pair that says what our own count says is none: a gauge that
+    /// counts with the stated capacity, or shows our count, knows nothing about the battery.
+    fn learn(&mut self, battery: &Battery, end: (f64, f64, f64)) {
+        let mut capacity = self.capacity();
+        let Some(pair) = self.lessons.pair(end, battery.sensor_step) else {
+            return;
+        };
+        let drawn = capacity.value().unwrap_or(1.0) * pair.counted;
+        let mirrors = (pair.depth - drawn).abs() <= battery.sensor_step as f32;
+        if (capacity.value().is_some() || !mirrors)
+            && capacity.learn(1.0, drawn, (pair.depth, pair.depth_sd))
+        {
+            self.set_capacity(capacity);
+        }
+    }
+
+    /// The learned capacity as a share of the stated one, and its deviation.
+    #[inline(always)]
+    pub(crate) const fn size(&self) -> (f32, f32) {
+        (self.capacity, self.capacity_sd)
+    }
+
+    fn capacity(&self) -> Capacity {
+        Capacity { value: self.capacity, weight: self.lessons.weight, sd: self.capacity_sd }
+    }
+
+    fn set_capacity(&mut self, learned: Capacity) {
+        (self.capacity, self.lessons.weight) = (learned.value, learned.weight);
+        self.capacity_sd = learned.sd;
     }
 
     /// Another battery, as full as the first one was.
@@ -573,14 +701,21 @@ impl BatteryState {
     /// A battery that an earlier run wrote down.
     fn restored(
         (saved, mean_w, pause): (&SavedBattery, f32, &SavedPause),
+        taught: &SavedLessons,
         battery: &Battery,
         ledger: &Ledger,
     ) -> Self {
         let at = At { unmetered_ns: saved.unmetered_ns, ..At::new(ledger) };
         let SavedPause { off, idle_w, pause_s, pause } = *pause;
         let idle_w = idle_w.filter(|watts| watts.is_finite()).unwrap_or(f32::NAN);
-        let Some(estimate) = saved.estimate(battery.counting_sd) else {
-            return Self { mean_w, off, idle_w, pause_s, pause, ..Self::unknown(battery, at) };
+        let capacity = taught.capacity(battery.capacity_j);
+        let lessons = Lessons::continued(taught.charge_rate);
+        let counting_sd = capacity.map_or(battery.counting_sd, |learned| learned.sd.into());
+        let Some(estimate) = saved.estimate(counting_sd) else {
+            let unknown = Self::unknown(battery, at);
+            let mut unknown = Self { mean_w, off, idle_w, pause_s, pause, lessons, ..unknown };
+            unknown.set_capacity(capacity.unwrap_or_default());
+            return unknown;
         };
         let mut restored = Self {
             soc: estimate.left,
@@ -599,8 +734,10 @@ impl BatteryState {
             idle_w,
             pause_s,
             pause,
+            lessons,
             ..Self::new(battery)
         };
+        restored.set_capacity(capacity.unwrap_or_default());
         restored.anchor(at);
         restored
     }
@@ -610,8 +747,8 @@ impl BatteryState {
     pub(crate) fn joining(battery: &Battery, known: Known, used: bool, ledger: &Ledger) -> Self {
         let mut joining = match known {
             Known::Kept(kept) => kept,
-            Known::Saved(saved, mean_w, pause) => {
-                Self::restored((&saved, mean_w, &pause), battery, ledger)
+            Known::Saved(saved, mean_w, pause, taught) => {
+                Self::restored((&saved, mean_w, &pause), &taught, battery, ledger)
             }
             // Charged by an earlier version, which did not meter it, or its account was given up.
             Known::Nothing if used => Self::unknown(battery, At::new(ledger)),
@@ -659,6 +796,42 @@ pub struct SavedBattery {
     /// The same.
     #[serde(skip)]
     pause: SavedPause,
+    /// The same.
+    #[serde(skip)]
+    lessons: SavedLessons,
+}
+
+/// What a battery's state from an earlier run has learned. Fields as in [`Budget`].
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SavedLessons {
+    /// 0 before anything is learned, as the two others.
+    capacity_j: f32,
+    capacity_sd_j: f32,
+    capacity_weight: f32,
+    charge_rate: [u16; CHARGE_TENTHS],
+}
+
+impl SavedLessons {
+    fn new(budget: &Budget) -> Self {
+        let (capacity_j, capacity_sd_j) = budget.capacity_j().unwrap_or_default();
+        let capacity_weight = if capacity_j > 0.0 { budget.capacity_weight } else { 0.0 };
+        Self { capacity_j, capacity_sd_j, capacity_weight, charge_rate: budget.charge_rate }
+    }
+
+    /// The learned capacity and its standard deviation, J. 0 before anything is learned.
+    pub const fn capacity_j(&self) -> (f32, f32) {
+        (self.capacity_j, self.capacity_sd_j)
+    }
+
+    /// The learned capacity as a share of the stated one. `None` if nothing is learned, or not of a
+    /// battery of the stated size.
+    fn capacity(&self, stated_j: f64) -> Option<Capacity> {
+        let share = |joules: f32| (f64::from(joules) / stated_j) as f32;
+        let (value, weight) = (share(self.capacity_j), self.capacity_weight);
+        let learned = Capacity { value, weight, sd: share(self.capacity_sd_j) / value };
+        learned.is_sound(1.0).then_some(learned)
+    }
 }
 
 /// What a battery's state from an earlier run says of pauses.
@@ -673,6 +846,13 @@ pub struct SavedPause {
     /// bound, as a share.
     pause_s: f32,
     pause: f32,
+}
+
+impl SavedPause {
+    /// Unmetered time since the charge was known, s.
+    pub const fn pause_s(&self) -> f32 {
+        self.pause_s
+    }
 }
 
 impl SavedBattery {
@@ -703,6 +883,7 @@ impl SavedBattery {
                 pause_s: budget.pause_s,
                 pause: budget.pause,
             },
+            lessons: SavedLessons::new(budget),
         })
     }
 
@@ -710,9 +891,15 @@ impl SavedBattery {
     /// as a share, at `now_ns` by the clock of the ledger. `None` if the platform has no battery.
     pub fn paused(&self, platform: &Platform, ledger: &Ledger, now_ns: u64) -> Option<(f32, f32)> {
         let battery = platform.battery.as_ref()?;
-        let state = BatteryState::restored((self, f32::NAN, &self.pause), battery, ledger);
+        let saved = (self, f32::NAN, &self.pause);
+        let state = BatteryState::restored(saved, &self.lessons, battery, ledger);
         let at = At::new(ledger).silent_for(now_ns.saturating_sub(ledger.stamp_ns()?));
         Some(state.paused(&Counting::new(battery, platform), at))
+    }
+
+    /// Unmetered time that it contains, ns.
+    pub const fn unmetered_ns(&self) -> u64 {
+        self.unmetered_ns
     }
 
     /// What it says of pauses, which is stored apart: an older ledger lacks it.
@@ -720,10 +907,15 @@ impl SavedBattery {
         self.pause
     }
 
-    /// The same battery with other pauses.
+    /// What it has learned, which is stored apart too.
+    pub const fn lessons(&self) -> SavedLessons {
+        self.lessons
+    }
+
+    /// The same battery with other pauses, and other lessons.
     #[must_use]
-    pub const fn with_pause(self, pause: SavedPause) -> Self {
-        Self { pause, ..self }
+    pub const fn with_pause(self, pause: SavedPause, lessons: SavedLessons) -> Self {
+        Self { pause, lessons, ..self }
     }
 
     /// Times that another battery was noticed.
@@ -787,6 +979,7 @@ pub(crate) enum Known {
         SavedBattery,
         #[serde(deserialize_with = "added::read")] f32,
         #[serde(deserialize_with = "added::read_0x11")] SavedPause,
+        #[serde(deserialize_with = "added::read_0x12")] SavedLessons,
     ),
 }
 
@@ -801,13 +994,13 @@ impl Known {
                 }
                 kept.idle_w = f32::NAN;
             }
-            Self::Saved(_, mean_w, _) if !has_means => *mean_w = f32::NAN,
+            Self::Saved(_, mean_w, ..) if !has_means => *mean_w = f32::NAN,
             Self::Saved(..) | Self::Nothing => {}
         }
     }
 
     pub(crate) fn saved(battery: SavedBattery) -> Self {
         let mean_w = battery.mean_power_w.filter(|watts| watts.is_finite());
-        Self::Saved(battery, mean_w.unwrap_or(f32::NAN), battery.pause)
+        Self::Saved(battery, mean_w.unwrap_or(f32::NAN), battery.pause, battery.lessons)
     }
 }

@@ -1,5 +1,6 @@
 //! How a platform's battery counts what its monitor reads.
 
+use joulebus_energy::EnergyLeft;
 use joulebus_settings::{Battery, ChargeReading, Platform};
 
 /// In place of an unknown charging power, W: it fills every battery at once.
@@ -34,12 +35,61 @@ impl Counting {
         }
     }
 
+    /// That of a robot: with the capacity that is [learned](learned) of its battery, and the error of
+    /// that in place of the stated one.
+    #[inline(always)]
+    pub(crate) fn of(&self, capacity: (f32, f32)) -> Self {
+        let (share, sd) = learned(capacity).unwrap_or((1.0, self.sd));
+        Self { per_joule: self.per_joule / share, sd, ..*self }
+    }
+
     /// Change of the stored energy on the charger by an amount that the monitor counts. `None` if
     /// it does not meter the charge.
     #[inline(always)]
     pub(crate) fn stored(&self, amount: f64) -> Option<f64> {
         let is_metered = !matches!(self.reading, ChargeReading::Load);
         is_metered.then(|| counted(self, amount, true))
+    }
+}
+
+/// A learned capacity as a share of the stated one, and its relative standard deviation. `None` before
+/// anything is learned, when that is 0.
+#[inline(always)]
+fn learned((share, sd): (f32, f32)) -> Option<(f64, f64)> {
+    (sd > 0.0).then_some((share.into(), sd.into()))
+}
+
+/// The size of a robot's battery.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Size {
+    pub capacity_j: f64,
+    /// Relative standard deviation of a learned capacity. 0 of the stated one, whose error is that of
+    /// counting.
+    pub sd: f64,
+    /// Of energy that is counted from a known charge on, as a share of it.
+    pub counting_sd: f64,
+}
+
+impl Size {
+    #[inline(always)]
+    pub(crate) fn new(battery: &Battery, capacity: (f32, f32)) -> Self {
+        let (share, sd) = learned(capacity).unwrap_or((1.0, 0.0));
+        let counting_sd = if sd > 0.0 { sd } else { battery.counting_sd };
+        Self { capacity_j: battery.capacity_j * share, sd, counting_sd }
+    }
+
+    /// What is left of a charge beyond `reserve`, a share of it, as a share of the capacity, with the
+    /// error of the capacity. If the capacity is less, more of it has been drawn, and less is left.
+    #[inline(always)]
+    pub(crate) fn left(&self, now: &EnergyLeft, reserve: f64) -> EnergyLeft {
+        EnergyLeft { monitor: now.monitor - self.sd * (now.left - reserve).max(0.0), ..*now }
+    }
+
+    /// Relative error of counting energy that is yet to be drawn. The capacity is learned by the same
+    /// monitor, so its error is that of the energy left.
+    #[inline(always)]
+    pub(crate) fn ahead_sd(&self) -> f64 {
+        if self.sd > 0.0 { 0.0 } else { self.counting_sd }
     }
 }
 

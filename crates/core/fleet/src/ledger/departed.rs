@@ -81,7 +81,7 @@ impl Departed {
     /// is dropped. Returns true if none was.
     pub(crate) fn keep(&mut self, account: Account) -> bool {
         let known = self.place(account.robot);
-        let room = known.is_some() || self.has_room();
+        let room = known.is_some() || self.has_room_for(0);
         if !room {
             let oldest = self.robots[self.oldest];
             self.take(oldest);
@@ -103,9 +103,9 @@ impl Departed {
         room
     }
 
-    /// True if an account of another robot takes no other's place.
-    pub(crate) const fn has_room(&self) -> bool {
-        self.len < self.robots.len()
+    /// True if an account of another robot takes no other's place, also if so many more are kept.
+    pub(crate) const fn has_room_for(&self, more: usize) -> bool {
+        self.len + more < self.robots.len()
     }
 
     /// Removes a robot's account. The oldest one moves to its index.

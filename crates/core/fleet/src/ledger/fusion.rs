@@ -43,8 +43,8 @@ impl BatteryState {
     }
 
     /// Fuses a measured value with the estimate, unless it is stuck or contradicts the estimate.
-    /// The anchor is at the sample.
-    pub(crate) fn fuse(&mut self, measured: Measured, stamp_ns: u64) {
+    /// The anchor is at the sample. Returns whether it is believed.
+    pub(crate) fn fuse(&mut self, measured: Measured, stamp_ns: u64) -> bool {
         self.age(measured.sd, stamp_ns);
         let implausible = self.is_stuck(measured) || self.contradicts(measured, stamp_ns);
         let raised = AlarmSet(self.raised);
@@ -52,6 +52,7 @@ impl BatteryState {
             true => raised.with(Alarm::SocImplausible).0,
             false => raised.without(Alarm::SocImplausible).0,
         };
+        !implausible
     }
 
     /// True if the last measured value is below the counted one, and is not believed.
@@ -175,6 +176,7 @@ impl BatteryState {
         (self.bias, self.bias_var, self.covariance) = (0.0, bias_var, -bias_var);
         (self.pause_s, self.pause) = (0.0, 0.0);
         (self.monitor, self.bias_monitor) = (0.0, 0.0);
+        self.lessons.end();
         self.fused = true;
     }
 }

@@ -6,6 +6,7 @@ pub(crate) mod departed;
 pub(crate) mod energy;
 mod fusion;
 pub(crate) mod gap;
+mod lessons;
 pub(crate) mod levels;
 pub(crate) mod measured;
 pub(crate) mod remaining;

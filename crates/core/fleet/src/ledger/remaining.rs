@@ -5,6 +5,7 @@ use joulebus_predictor::nan::canonical;
 use joulebus_settings::Battery;
 
 use crate::layout::lanes::{LANES, block};
+use crate::ledger::counting::Size;
 
 /// Energy left of a robot. NaN if unknown.
 #[derive(Debug, Clone, Copy)]
@@ -31,20 +32,23 @@ impl Remaining {
     /// sum of the squares by the energy alone and by the power alone.
     #[inline(always)]
     pub(crate) fn new(
-        battery: &Battery,
+        (battery, size): (&Battery, &Size),
         now: &EnergyLeft,
         mean_w: f32,
         range_w: impl Fn(f32) -> [f32; 2],
         charging: bool,
     ) -> Self {
-        let capacity_j = battery.capacity_j;
+        let capacity_j = size.capacity_j;
         let mean_w = f64::from(mean_w).max(0.0);
         let (lo, hi) = (now.lo().max(0.0), now.hi().min(1.0));
         let above = |share: f64| capacity_j * (share - battery.reserve).max(0.0);
-        let (usable_j, usable_lo_j, usable_hi_j) = (above(now.left), above(lo), above(hi));
+        let energy = size.left(now, battery.reserve);
+        let [energy_lo, energy_hi] = [energy.lo().max(0.0), energy.hi().min(1.0)];
+        let usable_j = above(now.left);
+        let (usable_lo_j, usable_hi_j) = (above(energy_lo), above(energy_hi));
         let draws = (mean_w > 0.0) & !charging;
         // Twice as many divisions a vector as in double precision.
-        let [less, more] = EnergyLeft::counting_factors(battery.counting_sd);
+        let [less, more] = EnergyLeft::counting_factors(size.ahead_sd());
         let middle_j = usable_j as f32;
         let (lo_j, hi_j) = ((less * usable_lo_j) as f32, (more * usable_hi_j) as f32);
         let mean_w = mean_w as f32;

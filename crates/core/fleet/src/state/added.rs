@@ -21,6 +21,9 @@ const READ_0X10: u8 = 0x10;
 /// detectors have no cumulative sums.
 const READ_0X11: u8 = 0x11;
 
+/// The version that gained those of [`read_0x12`].
+const READ_0X12: u8 = 0x12;
+
 /// Decodes a state of an older version.
 pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
     VERSION.set(version);
@@ -54,6 +57,15 @@ where
     D: Deserializer<'de>,
 {
     if VERSION.get() < READ_0X11 { Ok(T::default()) } else { T::deserialize(from) }
+}
+
+/// Same as [`read`], for versions before 0x12.
+pub(crate) fn read_0x12<'de, T, D>(from: D) -> Result<T, D::Error>
+where
+    T: Deserialize<'de> + Default,
+    D: Deserializer<'de>,
+{
+    if VERSION.get() < READ_0X12 { Ok(T::default()) } else { T::deserialize(from) }
 }
 
 /// Passes over the two cumulative sums of a block of detectors, which versions before 0x11 have.

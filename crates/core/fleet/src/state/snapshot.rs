@@ -15,7 +15,7 @@ use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x11";
+const MAGIC: [u8; 8] = *b"jbstate\x12";
 /// The oldest version that is read too. It lacks the [`added`] fields.
 const OLDEST: u8 = 0x0e;
 /// The first version whose robots are complete, and the first whose batteries are.

@@ -17,7 +17,7 @@ use crate::ingest::pending::{PendingBlock, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::layout::slots;
 use crate::ledger::battery::{At, BatteryLanes, Charging};
-use crate::ledger::counting::Counting;
+use crate::ledger::counting::{Counting, Size};
 use crate::ledger::energy::LedgerLanes;
 use crate::ledger::levels;
 use crate::ledger::measured::Seen;
@@ -283,7 +283,8 @@ fn follow(
         // On a charger the anchor is at the last sample with a reading.
         let charging = Charging { metered: false, unmetered: robot.charging };
         let now = robot.now(&counting, at, charging);
-        let raised = levels::judge(robot.raised, battery, &now, robot.return_j);
+        let size = Size::new(battery, robot.size());
+        let raised = levels::judge(robot.raised, (battery, &size), &now, robot.return_j);
         lanes::put(&mut batteries.raised[lane], mask[lane], raised);
     }
 }

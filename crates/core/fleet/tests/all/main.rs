@@ -5,6 +5,7 @@ mod allocations;
 mod battery;
 mod before;
 mod budgets;
+mod capacity;
 mod day;
 mod independence;
 mod intake;

@@ -7,7 +7,7 @@ use joulebus_wire::{Budget, ChargeState, budget_flag};
 
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging};
-use crate::ledger::counting::Counting;
+use crate::ledger::counting::{Counting, Size};
 use crate::ledger::remaining::{Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -73,6 +73,8 @@ impl<'a> Budgets<'a> {
         let battery = (self.block.batteries)
             .filter(|_| remaining.battery)
             .map(|batteries| batteries.get(lane));
+        let size = battery.zip(platform.battery.as_ref()).filter(|(of, _)| of.capacity_sd > 0.0);
+        let size = size.map(|(of, battery)| (Size::new(battery, of.size()), of.lessons.weight));
         Budget {
             robot: admission.id,
             flags: flag(stamp_ns.is_some(), budget_flag::LEDGER)
@@ -113,7 +115,11 @@ impl<'a> Budgets<'a> {
             idle_w: battery.map_or(f32::NAN, |battery| canonical(battery.idle_w)),
             pause_s: self.pause_s[lane],
             pause: self.pause[lane],
-            reserved: 0.0,
+            capacity_j: size.map_or(f32::NAN, |(size, _)| size.capacity_j as f32),
+            capacity_sd_j: size.map_or(f32::NAN, |(size, _)| (size.capacity_j * size.sd) as f32),
+            capacity_weight: size.map_or(0.0, |(_, weight)| weight),
+            charge_rate: battery.map_or_else(Default::default, |of| of.lessons.charge_rate),
+            reserved: 0,
         }
     }
 }
@@ -179,17 +185,19 @@ fn fill(
         let robot = batteries.get(lane);
         let overdue_ns = silent_ns[lane].saturating_sub(platform.period_ns);
         let estimate = estimate(&block, &robot, &counting, lane, overdue_ns);
+        let size = Size::new(battery, robot.size());
+        let of = (battery, &size);
         let remaining = match &context.lasting {
             Some(lasting) => {
                 let (longest, factors) = block.energy.longest_level(lane);
                 let power = lasting.of(longest, context.errors.platform(), &factors);
                 let range_w = |seconds| power.range_w(seconds);
-                Remaining::new(battery, &estimate, power.mean_w, range_w, robot.charging)
+                Remaining::new(of, &estimate, power.mean_w, range_w, robot.charging)
             }
             // What is known of the next reading, in place of hours.
             None => {
                 let (lo_w, hi_w) = block.intervals.get(lane).around(mean_w[lane], 0, true);
-                Remaining::new(battery, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
+                Remaining::new(of, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
             }
         };
         budgets.remaining.set(lane, mask[lane], remaining);

@@ -7,7 +7,7 @@ use joulebus_predictor::nan::canonical;
 use joulebus_wire::{Alarm, AlarmSet, Diagnostic, Level, diagnostic_flag};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes};
-use crate::ledger::counting::Counting;
+use crate::ledger::counting::{Counting, Size};
 use crate::ledger::levels;
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
@@ -156,7 +156,12 @@ fn battery_levels(tick: &TickContext, block: &BlockRef<'_>, lane: usize) -> u32 
     }
     let (robot, counting) = (batteries.get(lane), Counting::new(battery, platform));
     let estimate = budgets::estimate(block, &robot, &counting, lane, overdue_ns);
-    levels::judge(robot.raised, battery, &estimate, robot.return_j)
+    levels::judge(
+        robot.raised,
+        (battery, &Size::new(battery, robot.size())),
+        &estimate,
+        robot.return_j,
+    )
 }
 
 /// Codes of the worst level and of the most important alarm of a set, without iterating over it.
