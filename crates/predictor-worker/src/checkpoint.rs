@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use joulebus_fleet::{ErrorCounts, Fleet, Ledger, SavedBattery, SavedPause};
+use joulebus_fleet::{ErrorCounts, Fleet, Ledger, SavedBattery, SavedLessons, SavedPause};
 use joulebus_wire::{Budget, BudgetHeader, budget_flag};
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +11,9 @@ use serde::{Deserialize, Serialize};
 /// are stamped before they are sent, and links move stamps to this host's clock so that none looks
 /// fresher than it is.
 const MAX_AHEAD_NS: u64 = 1_000_000_000;
+
+/// Statements this soon after a save are none, s.
+const MARGIN_S: f32 = 0.5;
 
 /// All robots' accounts at one moment.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -33,7 +36,34 @@ pub(crate) struct Checkpoint {
     /// Errors of the energy of each platform, in the order of the config. None before version 4.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub errors: Vec<ModelErrors>,
+    /// Capacities that were learned of a robot's batteries, the last of each month in which one was,
+    /// the oldest first. None before version 7.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub capacities: BTreeMap<u32, Vec<LearnedCapacity>>,
 }
+
+/// A capacity that was learned of a battery.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LearnedCapacity {
+    /// When it was saved, Unix s.
+    pub unix_s: u64,
+    /// Capacity, J.
+    pub capacity_j: f32,
+    /// Its standard deviation, J.
+    pub capacity_sd_j: f32,
+}
+
+impl LearnedCapacity {
+    /// The month, since 1970.
+    const fn month(&self) -> u64 {
+        // A twelfth of a mean year of the Gregorian calendar.
+        self.unix_s / 2_629_746
+    }
+}
+
+/// Months of which a robot's learned capacity is kept.
+const MONTHS: usize = 24;
 
 /// The errors that a platform's robots have shown of its model, from which the bounds of the next
 /// run's plans and outlooks continue.
@@ -95,12 +125,22 @@ pub(crate) struct Account {
     /// Pauses of its battery. `None` without any, and before version 6.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pause: Option<SavedPause>,
+    /// What its battery has taught. `None` before that, and before version 7.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lessons: Option<SavedLessons>,
 }
 
 impl Account {
-    /// True if it has what only the newest version has.
-    pub(crate) const fn has_newest(&self) -> bool {
-        self.pause.is_some()
+    /// True if a budget of the same last sample, which contains a silence, says that its battery is
+    /// known since: its pause is shorter than the silence would have made it.
+    fn is_stated(&self, budget: &Budget, silent_ns: u64) -> bool {
+        let Some(battery) = self.battery else {
+            return false;
+        };
+        let contained_ns = battery.unmetered_ns().saturating_sub(self.unmetered_ns);
+        let more_s = silent_ns.saturating_sub(contained_ns) as f32 * 1e-9;
+        let pause_s = self.pause.map_or(0.0, |pause| pause.pause_s());
+        budget.pause_s + MARGIN_S < pause_s + more_s
     }
 }
 
@@ -128,6 +168,7 @@ impl Checkpoint {
             robots: BTreeMap::new(),
             lost: BTreeSet::new(),
             errors: Vec::new(),
+            capacities: BTreeMap::new(),
         }
     }
 
@@ -152,10 +193,14 @@ impl Checkpoint {
             let silent = known.filter(|known| known.stamp_ns == budget.stamp_ns);
             let silent_ns = header.sent_ns.saturating_sub(budget.stamp_ns);
             let silent_ns = silent_ns.saturating_sub(period_ns(budget.robot).unwrap_or(0));
+            // A person's statement ends the pause.
+            let silent = silent.filter(|known| !known.is_stated(budget, silent_ns));
             let battery = SavedBattery::new(budget, silent_ns);
             let mean_power_w = battery.and_then(|battery| battery.mean_power_w());
             let pause = battery.map(|battery| battery.pause());
             let pause = pause.filter(|pause| *pause != SavedPause::default());
+            let lessons = battery.map(|battery| battery.lessons());
+            let lessons = lessons.filter(|lessons| *lessons != SavedLessons::default());
             let account = Account {
                 drawn_uj: budget.drawn_uj,
                 drawn_remainder: budget.drawn_remainder,
@@ -166,12 +211,15 @@ impl Checkpoint {
                 charged: budget.flags & budget_flag::CHARGED != 0,
                 battery: silent.and_then(|known| known.battery).or_else(|| {
                     let bare = |battery: SavedBattery| battery.with_mean_power_w(None);
-                    battery.map(|battery| bare(battery).with_pause(SavedPause::default()))
+                    let none = (SavedPause::default(), SavedLessons::default());
+                    battery.map(|battery| bare(battery).with_pause(none.0, none.1))
                 }),
                 mean_power_w,
                 pause: silent.and_then(|known| known.pause).or(pause),
+                lessons,
             };
-            self.robots.insert(budget.robot, account);
+            let before = self.robots.insert(budget.robot, account);
+            self.remember_capacity(budget, before.and_then(|before| before.lessons));
         }
         let too_many = self.robots.len().saturating_sub(most);
         if too_many > 0 {
@@ -184,10 +232,29 @@ impl Checkpoint {
             oldest_first.sort_unstable();
             for (.., robot) in oldest_first.iter().take(too_many) {
                 self.robots.remove(robot);
+                self.capacities.remove(robot);
                 self.lost.insert(*robot as u16);
             }
         }
         too_many
+    }
+
+    /// Remembers a capacity that has changed since the lessons `before`.
+    fn remember_capacity(&mut self, budget: &Budget, before: Option<SavedLessons>) {
+        let Some((capacity_j, capacity_sd_j)) = budget.capacity_j() else {
+            return;
+        };
+        if before.is_some_and(|before| before.capacity_j() == (capacity_j, capacity_sd_j)) {
+            return;
+        }
+        let unix_s = self.written_unix_ns / 1_000_000_000;
+        let newest = LearnedCapacity { unix_s, capacity_j, capacity_sd_j };
+        let months = self.capacities.entry(budget.robot).or_default();
+        match months.last_mut() {
+            Some(last) if last.month() >= newest.month() => *last = newest,
+            _ => months.push(newest),
+        }
+        months.drain(..months.len().saturating_sub(MONTHS));
     }
 
     /// Robots whose battery was exchanged, according to a frame, since the last frame taken.
@@ -269,7 +336,8 @@ impl Checkpoint {
             let mean_power_w = account.mean_power_w;
             let pause = account.pause.unwrap_or_default();
             let whole = |battery: SavedBattery| battery.with_mean_power_w(mean_power_w);
-            let battery = account.battery.map(|battery| whole(battery).with_pause(pause));
+            let lessons = account.lessons.unwrap_or_default();
+            let battery = account.battery.map(|battery| whole(battery).with_pause(pause, lessons));
             Restored { robot: *robot, ledger, charged: account.charged, battery }
         };
         robots.into_iter().map(ledger).collect()
@@ -392,14 +460,75 @@ pub(crate) mod tests {
             ledger.take(&sent(sent_ns), &[of(1_000)], (9, |_| Some(100)));
             let saved = ledger.robots[&3].battery;
             let wanted = SavedBattery::new(&of(1_000), contained_ns);
-            let bare =
-                |of: SavedBattery| of.with_mean_power_w(None).with_pause(SavedPause::default());
+            let none = (SavedPause::default(), SavedLessons::default());
+            let bare = |of: SavedBattery| of.with_mean_power_w(None).with_pause(none.0, none.1);
             assert_eq!(saved, wanted.map(bare), "{sent_ns}");
             // It stays as it was first seen, and the account begins at the sample.
             ledger.take(&sent(9_000), &[of(1_000)], (9, |_| Some(100)));
             let account = ledger.robots[&3];
             assert_eq!((account.battery, account.unmetered_ns), (saved, 7_000), "{sent_ns}");
         }
+    }
+
+    /// The robot was silent when a person stated its battery: its last sample is the same.
+    #[test]
+    fn what_a_person_states_of_a_silent_robot_is_saved() {
+        let of = |soc, pause_s| Budget {
+            robot: 3,
+            flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::CHARGE,
+            soc,
+            soc_hi: 1.0,
+            stamp_ns: 1_000,
+            pause_s,
+            ..Budget::default()
+        };
+        let second = 1_000_000_000;
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        let mut saved = |sent_ns, budget| {
+            ledger.take(&sent(sent_ns), &[budget], (9, |_| Some(100)));
+            ledger.robots[&3].battery
+        };
+        let first = saved(60 * second, of(0.5, 60.0));
+        assert_eq!(saved(90 * second, of(0.4, 90.0)), first, "only the silence went on");
+        let stated = saved(100 * second, of(0.9, 4.0));
+        assert_ne!(stated, first);
+        assert_eq!(saved(130 * second, of(0.8, 34.0)), stated);
+        assert_eq!(ledger.robots[&3].pause.map(|pause| pause.pause_s()), Some(4.0));
+    }
+
+    #[test]
+    fn the_last_capacity_of_each_of_24_months_is_kept_and_read_again() {
+        let mut ledger = Checkpoint::new("lab", "boot-a");
+        for day in 0..1_000_u64 {
+            let header = BudgetHeader {
+                sent_ns: 1_000 + day,
+                sent_unix_ns: (20_000 + day) * 86_400_000_000_000,
+                ..BudgetHeader::default()
+            };
+            let budget = Budget {
+                robot: 3,
+                flags: budget_flag::LEDGER | budget_flag::BATTERY | budget_flag::CHARGE,
+                soc_hi: 1.0,
+                stamp_ns: day + 1,
+                // It is learned every fifth day, and falls.
+                capacity_j: 36_000.0 - (day / 5) as f32,
+                capacity_sd_j: 900.0,
+                capacity_weight: 2.0,
+                charge_rate: [400; joulebus_wire::CHARGE_TENTHS],
+                ..Budget::default()
+            };
+            ledger.take(&header, &[budget], (9, |_| Some(100)));
+        }
+        let text = serde_json::to_string(&ledger).unwrap();
+        let read: Checkpoint = serde_json::from_str(&text).unwrap();
+        assert_eq!(read, ledger);
+        let months = &read.capacities[&3];
+        assert_eq!((months.len(), months[MONTHS - 1].capacity_j), (MONTHS, 36_000.0 - 199.0));
+        assert_eq!(months[MONTHS - 1].unix_s, (20_000 + 995) * 86_400);
+        assert!(months.is_sorted_by(|one, next| one.month() < next.month()), "{months:?}");
+        let lessons = read.ledgers()[0].battery.unwrap().lessons();
+        assert_eq!(Some(lessons), ledger.robots[&3].lessons);
+        assert_eq!(lessons.capacity_j(), (36_000.0 - 199.0, 900.0));
     }
 
     #[test]

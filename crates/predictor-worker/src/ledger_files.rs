@@ -6,15 +6,18 @@
 //! leaves two intact ones. If a save is cut off before its last rename, the temporary file is the
 //! newest generation. The next save of any worker renames it before it writes another.
 
+use std::collections::BTreeMap;
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use joulebus_config::Config;
 use joulebus_files::disk::{self, File};
 use joulebus_wire::fnv1a;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Account, Checkpoint};
+use crate::checkpoint::{Account, Checkpoint, LearnedCapacity};
+use crate::state_directory;
 
 /// Version of files whose ledger has neither lost accounts nor errors of the energy.
 const PLAIN: u32 = 3;
@@ -23,13 +26,26 @@ const PLAIN: u32 = 3;
 const LOST: u32 = 4;
 /// The version of files that also have the mean power of robots with a battery.
 const MEANS: u32 = 5;
-/// The version of files that also have pauses of batteries, and what was learned of them.
-const NEWEST: u32 = 6;
+/// The version of files that also have pauses of batteries, or errors of the energy.
+const PAUSES: u32 = 6;
+/// The version of files that also have what batteries have taught.
+const NEWEST: u32 = 7;
 /// The version before, without batteries: it is read, and written as a newer one.
 const BEFORE: u32 = 2;
-const KNOWN: [u32; 5] = [NEWEST, MEANS, LOST, PLAIN, BEFORE];
+const KNOWN: [u32; 6] = [NEWEST, PAUSES, MEANS, LOST, PLAIN, BEFORE];
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MAX_BYTES: u64 = 1 << 30;
+
+/// The capacities that were learned of each robot's batteries, as a worker of this user has saved them.
+/// Empty if there is no ledger that can be read.
+#[must_use]
+pub fn learned_capacities(config: &Config) -> BTreeMap<u32, Vec<LearnedCapacity>> {
+    let saved = state_directory::ledger_path(config).map(|path| read(&path, config.fleet()));
+    match saved {
+        Some(Ok(Some((_, ledger)))) => ledger.capacities,
+        _ => BTreeMap::new(),
+    }
+}
 
 /// Contents of a file.
 #[derive(Debug, Serialize, Deserialize)]
@@ -290,7 +306,7 @@ fn is_cut_off(path: &Path) -> io::Result<bool> {
         beginning.as_bytes().starts_with(first) || first.iter().all(|byte| *byte == 0)
     };
     // Whole, it is another fleet's, or of another version.
-    let begins = [PLAIN, LOST, MEANS, NEWEST].into_iter().any(begins);
+    let begins = KNOWN.into_iter().any(begins);
     Ok(begins && serde_json::from_slice::<IgnoredAny>(&bytes).is_err())
 }
 
@@ -308,8 +324,10 @@ fn checksum(
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
     let any = |has: fn(&Account) -> bool| ledger.robots.values().any(has);
-    let schema = if any(Account::has_newest) || !ledger.errors.is_empty() {
+    let schema = if any(|account| account.lessons.is_some()) || !ledger.capacities.is_empty() {
         NEWEST
+    } else if any(|account| account.pause.is_some()) || !ledger.errors.is_empty() {
+        PAUSES
     } else if any(|account| account.mean_power_w.is_some()) {
         MEANS
     } else if ledger.lost.is_empty() {
@@ -735,7 +753,7 @@ mod tests {
         assert!(matches!(error("lab"), LedgerFileError::Damaged { .. }), "{}", error("lab"));
         assert_eq!(fs::read(&path).unwrap(), b"{}", "it is left where it was");
         for (text, found) in
-            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":7}", 7)]
+            [("{\"schema\":1,\"fleet\":\"lab\",\"robots\":{}}", 1), ("{\"schema\":8}", 8)]
         {
             fs::write(&path, text).unwrap();
             let error = error("lab");

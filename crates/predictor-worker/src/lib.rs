@@ -17,8 +17,9 @@ mod state_directory;
 mod tick_pool;
 mod worker;
 
+pub use checkpoint::LearnedCapacity;
 pub use checkpointer::CheckpointerError;
-pub use ledger_files::LedgerFileError;
+pub use ledger_files::{LedgerFileError, learned_capacities};
 pub use report::{Parts, Report};
 pub use standby::PermitOver;
 pub use tick_pool::{TickPool, TickPoolError};

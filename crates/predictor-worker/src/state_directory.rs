@@ -7,6 +7,18 @@ use joulebus_config::{Checkpoint, Config};
 use joulebus_files::disk;
 use joulebus_wire::fnv1a;
 
+/// The file in which a worker of this user saves the fleet's ledger, if it saves it.
+pub(crate) fn ledger_path(config: &Config) -> Option<PathBuf> {
+    match config.checkpoint() {
+        Checkpoint::File(path) => Some(path.clone()),
+        Checkpoint::Auto => {
+            let directory = state_directory(|name| std::env::var_os(name)).ok()?;
+            Some(directory.join(file_name(config)))
+        }
+        Checkpoint::Off => None,
+    }
+}
+
 /// The file of the fleet's ledger. Warns if batteries will not survive the worker.
 pub(crate) fn checkpoint_path(config: &Config) -> Option<PathBuf> {
     let batteries = config.settings().has_batteries();
