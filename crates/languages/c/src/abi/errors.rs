@@ -87,7 +87,8 @@ macro_rules! name {
 pub extern "C" fn joulebus_alarm_name(code: u16) -> *const c_char {
     let name = name!(Alarm::decode(code), Alarm: NoData, OutOfRange, StuckSensor, HeldTooLong, BiasHigh,
         BiasLow, NoiseHigh, ModelMismatch, OutOfTraining, OfflineCharging, DeadlineMissed, WatchdogStop,
-        CannotReturn, BatteryCritical, BatteryLow, SocImplausible, LevelHigh, LevelLow, None);
+        CannotReturn, BatteryCritical, BatteryLow, SocImplausible, LevelHigh, LevelLow, BatteryWorn,
+        None);
     name.as_ptr().cast()
 }
 
