@@ -282,7 +282,7 @@ impl Work {
             Plan::Follow { path, back_to, .. } => {
                 let known = self.routes.iter().position(|(of, _)| *of == platform);
                 let Some(known) = known else {
-                    let route = Route::new(robot, path, *back_to, self.max_steps)?;
+                    let route = Route::new(robot, path, *back_to, self.max_steps, moments)?;
                     self.routes.push((platform, route));
                     return Ok(false);
                 };

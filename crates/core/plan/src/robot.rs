@@ -228,12 +228,12 @@ impl<'a> Robot<'a> {
         for (leg, end) in before_last.iter().enumerate() {
             walk.to(*end);
             // A leg at the first point takes no step, and so no energy.
-            if limiting_leg.is_none() && *end > 0 && !self.makes(&walk.progress, coverage) {
+            if limiting_leg.is_none() && *end > 0 && !self.makes(&walk.at.progress, coverage) {
                 limiting_leg = Some(leg);
             }
         }
         walk.to(legs.commands.steps());
-        let answer = self.answer_at(&walk.progress, legs, coverage);
+        let answer = self.answer_at(&walk.at.progress, legs, coverage);
         let verdict = match answer.verdict {
             // Intervals need not widen from leg to leg.
             Verdict::Yes if limiting_leg.is_some() => Verdict::Tight,
@@ -246,11 +246,10 @@ impl<'a> Robot<'a> {
 
     /// The answers to the parts of a plan up to evenly spaced moments, of which the last is the end.
     pub(crate) fn along(&self, legs: &Legs<'_>, coverage: f32, moments: usize) -> Vec<Answer> {
-        let (mut walk, steps) = (Walk::new(self, legs), legs.commands.steps());
-        let at = |moment: usize| (steps as u64 * moment as u64 / moments as u64) as usize;
-        let answers = (1..=moments).map(|moment| {
-            walk.to(at(moment).max(1));
-            self.answer_at(&walk.progress, legs, coverage)
+        let mut walk = Walk::new(self, legs);
+        let answers = moments_of(legs.commands.steps(), moments).map(|step| {
+            walk.to(step);
+            self.answer_at(&walk.at.progress, legs, coverage)
         });
         answers.collect()
     }
@@ -349,7 +348,14 @@ impl<'a> Robot<'a> {
     }
 }
 
+/// The last step of each of evenly spaced parts of a plan.
+pub(crate) fn moments_of(steps: usize, moments: usize) -> impl Iterator<Item = usize> {
+    let at = move |moment: usize| (steps as u64 * moment as u64 / moments as u64) as usize;
+    (1..=moments).map(move |moment| at(moment).max(1))
+}
+
 /// The commands of a plan, and what its legs add.
+#[derive(Clone, Copy)]
 pub(crate) struct Legs<'a> {
     pub(crate) commands: Commands<'a>,
     /// Steps after which each leg ends.
@@ -362,19 +368,28 @@ pub(crate) struct Legs<'a> {
     pub(crate) docking_j: f64,
     /// The longest delay, s.
     pub(crate) late_s: f32,
+    /// Sums from the second step up to the steps at which a walk stops, in their order.
+    pub(crate) marks: &'a [Mark],
 }
 
 impl<'a> Legs<'a> {
     /// A plan without legs.
     pub(crate) const fn none(commands: Commands<'a>) -> Self {
-        Self { commands, ends: &[], load_w: &[], start: (0, 0.0), docking_j: 0.0, late_s: 0.0 }
+        Self {
+            commands,
+            ends: &[],
+            load_w: &[],
+            start: (0, 0.0),
+            docking_j: 0.0,
+            late_s: 0.0,
+            marks: &[],
+        }
     }
 }
 
-/// Follows a plan from step to step.
-pub(crate) struct Walk<'a> {
-    robot: &'a Robot<'a>,
-    legs: &'a Legs<'a>,
+/// A plan as far as a walk has come.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Mark {
     pub(crate) progress: Progress,
     /// Power that the load of the last step adds, W.
     pub(crate) load_w: f32,
@@ -382,29 +397,67 @@ pub(crate) struct Walk<'a> {
     leg: usize,
 }
 
+/// Follows a plan from step to step.
+pub(crate) struct Walk<'a> {
+    robot: &'a Robot<'a>,
+    legs: &'a Legs<'a>,
+    pub(crate) at: Mark,
+    /// The first step, which alone depends on the robot, if the plan has marks.
+    first: Option<Progress>,
+}
+
 impl<'a> Walk<'a> {
     pub(crate) fn new(robot: &'a Robot<'a>, legs: &'a Legs<'a>) -> Self {
         let sum = CommandSum::new(&robot.energy, legs.commands.period_s);
-        Self { robot, legs, progress: Progress::new(sum), load_w: 0.0, done: 0, leg: 0 }
+        let at = Mark { progress: Progress::new(sum), load_w: 0.0, done: 0, leg: 0 };
+        let mut first = Self { robot, legs, at, first: None };
+        first.to(1);
+        let first = (!legs.marks.is_empty()).then_some(first.at.progress);
+        Self { robot, legs, at, first }
+    }
+
+    /// The marks of a plan at some steps, ascending, for all robots of a platform.
+    pub(crate) fn marks(
+        robot: &Robot<'_>,
+        legs: &Legs<'_>,
+        steps: impl Iterator<Item = usize>,
+    ) -> Vec<Mark> {
+        let mut walk = Walk::new(robot, legs);
+        walk.to(1);
+        let command = (legs.commands.v_mps[0], legs.commands.omega_radps[0]);
+        walk.at.progress = Progress::new(CommandSum::after(command, legs.commands.period_s));
+        let marks = steps.map(|step| {
+            walk.to(step);
+            walk.at
+        });
+        marks.collect()
     }
 
     /// Follows the plan up to a step, at most its last.
     pub(crate) fn to(&mut self, step: usize) {
         let steps = self.legs.commands.steps();
-        while self.done < step.min(steps) {
-            let leg_end = self.legs.ends.get(self.leg).copied().unwrap_or(steps);
+        if let Some(first) = self.first
+            && let Ok(mark) = self.legs.marks.binary_search_by_key(&step, |mark| mark.done)
+        {
+            self.at = self.legs.marks[mark];
+            let rest = std::mem::replace(&mut self.at.progress, first);
+            self.at.progress.join(&rest);
+        }
+        let at = &mut self.at;
+        while at.done < step.min(steps) {
+            let leg_end = self.legs.ends.get(at.leg).copied().unwrap_or(steps);
             let (started, start_load_w) = self.legs.start;
-            let (end, load_w) = match self.done < started {
+            let (end, load_w) = match at.done < started {
                 true => (started.min(leg_end), start_load_w),
-                false => (leg_end, self.legs.load_w.get(self.leg).copied().unwrap_or(0.0)),
+                false => (leg_end, self.legs.load_w.get(at.leg).copied().unwrap_or(0.0)),
             };
-            let next = step.min(steps).min(end.max(self.done));
-            let commands = part(self.legs.commands, self.done, next);
-            self.progress.add(self.robot.model(), commands, load_w);
-            self.load_w = if next > self.done { load_w } else { self.load_w };
-            (self.done, self.leg) = (next, self.leg + usize::from(next >= leg_end));
+            let next = step.min(steps).min(end.max(at.done));
+            let commands = part(self.legs.commands, at.done, next);
+            at.progress.add(self.robot.model(), commands, load_w);
+            at.load_w = if next > at.done { load_w } else { at.load_w };
+            (at.done, at.leg) = (next, at.leg + usize::from(next >= leg_end));
             if next == steps {
-                self.progress.added_j += self.legs.docking_j;
+                at.progress.added_j += self.legs.docking_j;
             }
         }
     }

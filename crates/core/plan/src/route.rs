@@ -4,7 +4,7 @@ use crate::error::{AskError, PathError};
 use crate::estimate::Progress;
 use crate::follower::{Followed, Follower};
 use crate::path::{Path, Point};
-use crate::robot::{Legs, Robot};
+use crate::robot::{Legs, Mark, Robot, Walk, moments_of};
 
 /// Times at which turning back is tried, at most.
 const MAX_TURN_BACKS: usize = 64;
@@ -13,13 +13,16 @@ const MAX_TURN_BACKS: usize = 64;
 /// where turning back is tried.
 ///
 /// Following costs some hundred times as much as computing the energy of the followed steps, and is
-/// the same for all robots of a platform. It is done once, and the energies are computed last, from
-/// rows that are still young.
+/// the same for all robots of a platform. So are the sums over the steps, but for the first. All are
+/// done once, and the energies are computed last, from rows that are still young.
 #[derive(Debug, Clone)]
 pub(crate) struct Route {
-    there: Followed,
     /// The path, with the path back from the end as one more leg.
     whole: Followed,
+    /// Steps of the path alone.
+    there: usize,
+    /// At the end of each leg, at each turn and each moment.
+    marks: Vec<Mark>,
     homes: Homes,
 }
 
@@ -59,26 +62,35 @@ pub(crate) struct Later;
 
 impl Route {
     /// Follows the path of a robot's platform, and the path back at the speed of its last leg.
-    /// Together they have at most `max_steps` steps.
+    /// Together they have at most `max_steps` steps. `moments`: at which its parts are answered.
     pub(crate) fn new(
         robot: &Robot<'_>,
         path: &Path,
         back_to: Option<Point>,
         max_steps: usize,
+        moments: usize,
     ) -> Result<Self, AskError> {
         let follower = Follower::new(robot.platform())?.within(max_steps);
         path.check_speeds(&robot.platform().settings)?;
-        let there = follower.follow(path)?;
+        let mut whole = follower.follow(path)?;
+        let there = whole.v_mps.len();
         let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);
         let back = back_to.map(|dock| Back { dock, speed_mps });
-        let whole = match back {
-            Some(back) => {
-                let home = back.home(&follower, &there, there.v_mps.len())?;
-                append(&there, &home)
-            }
-            None => there.clone(),
-        };
-        Ok(Self { there, whole, homes: Homes { follower, back, followed: Vec::new() } })
+        if let Some(back) = back {
+            let home = back.home(&follower, &whole, there)?;
+            append(&mut whole, home);
+        }
+        let homes = Homes { follower, back, followed: Vec::new() };
+        let mut route = Self { whole, there, marks: Vec::new(), homes };
+        let legs = route.legs(robot);
+        let moments = moments_of(legs.commands.steps(), moments);
+        let mut stops: Vec<usize> = legs.ends.iter().copied().chain(route.turns()).collect();
+        stops.extend(moments.chain([legs.commands.steps()]));
+        stops.sort_unstable();
+        stops.dedup();
+        // The first step is the robot's own.
+        route.marks = Walk::marks(robot, &legs, stops.into_iter().filter(|step| *step > 0));
+        Ok(route)
     }
 
     /// The commands of path and way back.
@@ -94,12 +106,12 @@ impl Route {
     /// Path and way back, with docking at its end.
     pub(crate) fn legs(&self, robot: &Robot<'_>) -> Legs<'_> {
         let docking_j = if self.returns() { robot.docking_j() } else { 0.0 };
-        Legs { docking_j, ..self.whole.legs() }
+        Legs { docking_j, marks: &self.marks, ..self.whole.legs() }
     }
 
-    /// The path alone, and the ways back from it.
-    pub(crate) const fn parts(&mut self) -> (&Followed, &mut Homes) {
-        (&self.there, &mut self.homes)
+    /// Path and way back without docking, and the ways back from within the path.
+    pub(crate) fn parts(&mut self) -> (Legs<'_>, &Followed, &mut Homes) {
+        (Legs { marks: &self.marks, ..self.whole.legs() }, &self.whole, &mut self.homes)
     }
 
     /// True if there is a way back.
@@ -109,8 +121,7 @@ impl Route {
 
     /// The steps after which turning back is tried.
     pub(crate) fn turns(&self) -> impl Iterator<Item = usize> + use<> {
-        let steps = self.there.v_mps.len();
-        (0..steps).step_by(steps.div_ceil(MAX_TURN_BACKS).max(1))
+        (0..self.there).step_by(self.there.div_ceil(MAX_TURN_BACKS).max(1))
     }
 }
 
@@ -185,20 +196,12 @@ impl Back {
     }
 }
 
-/// A path, and the path back from its end as one more leg.
-fn append(there: &Followed, home: &Followed) -> Followed {
+/// Adds the path back from the end of a path as one more leg, on which nothing is loaded.
+fn append(there: &mut Followed, home: Followed) {
     let steps = there.v_mps.len();
-    let mut leg_ends = there.leg_ends.clone();
-    leg_ends.push(steps + home.v_mps.len());
-    Followed {
-        period_s: there.period_s,
-        v_mps: [&there.v_mps[..], &home.v_mps].concat(),
-        omega_radps: [&there.omega_radps[..], &home.omega_radps].concat(),
-        leg_ends,
-        // Nothing is loaded on the way back.
-        load_w: there.load_w.clone(),
-        start: there.start,
-        late_s: there.late_s,
-        poses: [&there.poses[..steps], &home.poses].concat(),
-    }
+    there.leg_ends.push(steps + home.v_mps.len());
+    there.v_mps.extend(home.v_mps);
+    there.omega_radps.extend(home.omega_radps);
+    there.poses.truncate(steps);
+    there.poses.extend(home.poses);
 }

@@ -67,7 +67,7 @@ impl Robot<'_> {
         coverage: f32,
         max_steps: usize,
     ) -> Result<Trip, AskError> {
-        let mut route = Route::new(self, path, back_to, max_steps)?;
+        let mut route = Route::new(self, path, back_to, max_steps, 0)?;
         let answer = self.on(&route, coverage)?;
         // There are fewer than that.
         let mut ways = Ways(usize::MAX);
@@ -86,7 +86,7 @@ impl Robot<'_> {
         back_to: Option<Point>,
         coverage: f32,
     ) -> Result<Trip, AskError> {
-        let route = Route::new(self, path, back_to, MAX_STEPS)?;
+        let route = Route::new(self, path, back_to, MAX_STEPS, 0)?;
         Ok(Trip {
             answer: self.on(&route, coverage)?,
             turn_back_s: None,
@@ -116,19 +116,18 @@ impl Robot<'_> {
             return Ok(Ok(None));
         }
         let turns = route.turns();
-        let (there, homes) = route.parts();
-        let (period_s, legs) = (there.period_s, there.legs());
+        let (legs, whole, homes) = route.parts();
         let (mut walk, mut leg, mut last_s) = (Walk::new(self, &legs), 0, None);
         for (place, turn) in turns.enumerate() {
             while let Some(end) = legs.ends.get(leg).filter(|end| **end <= turn) {
                 walk.to(*end);
                 leg += 1;
-                if *end > 0 && !self.makes(&walk.progress, coverage) {
+                if *end > 0 && !self.makes(&walk.at.progress, coverage) {
                     return Ok(Ok(last_s));
                 }
             }
             walk.to(turn);
-            let home = match homes.home(self, there, (place, turn), ways)? {
+            let home = match homes.home(self, whole, (place, turn), ways)? {
                 Ok(Some(home)) => home,
                 Ok(None) => return Ok(Ok(last_s)),
                 Err(later) => return Ok(Err(later)),
@@ -136,14 +135,14 @@ impl Robot<'_> {
             if !self.makes(&self.turned(&walk, home), coverage) {
                 return Ok(Ok(last_s));
             }
-            last_s = Some(turn as f32 * period_s);
+            last_s = Some(turn as f32 * whole.period_s);
         }
         Ok(Ok(last_s))
     }
 
     /// A plan that continues with a path back, on which it keeps the load that it had.
     fn turned(&self, walk: &Walk<'_>, home: &Home) -> Progress {
-        let mut progress = walk.progress;
+        let mut progress = walk.at.progress;
         let first = Commands {
             period_s: progress.sum.period_s(),
             v_mps: &[home.v_mps],
@@ -153,7 +152,7 @@ impl Robot<'_> {
         progress.add(&self.platform().energy, first, 0.0);
         progress.join(&home.rest);
         // What it could put down saves nothing for sure.
-        progress.added_j += f64::from(walk.load_w.max(0.0)) * f64::from(home_s);
+        progress.added_j += f64::from(walk.at.load_w.max(0.0)) * f64::from(home_s);
         progress
     }
 }

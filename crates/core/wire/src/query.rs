@@ -28,7 +28,9 @@ use crate::rows;
 ///
 /// 6: the stairs of a grid are driven as straight lines; a ridge regression, recorded bounds of
 /// power and limits of the model's recordings.
-pub const ANSWER_RULES: u32 = 6;
+///
+/// 7: a path's energies are sums of parts that all robots share, and a path may have an hour.
+pub const ANSWER_RULES: u32 = 7;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
 /// where they do not.
@@ -50,8 +52,8 @@ pub const MAX_ANSWER_WORDS: usize = 4_608;
 pub const MAX_QUERY_ROBOTS: usize = 64;
 /// Maximum number of candidates of a question.
 pub const MAX_QUERY_CANDIDATES: usize = 256;
-/// Maximum number of steps of a followed path, with the return: five minutes at 30 Hz.
-pub const MAX_QUERY_STEPS: usize = 9_000;
+/// Maximum number of steps of a followed path, with the return: an hour at 30 Hz.
+pub const MAX_QUERY_STEPS: usize = 108_000;
 /// Maximum number of words of a frame of records.
 pub const MAX_RECORD_WORDS: usize = 16_384;
 

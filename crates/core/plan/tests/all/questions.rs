@@ -3,8 +3,8 @@
 use crate::world::{Rows, fleet};
 use joulebus_plan::answering::Work;
 use joulebus_plan::{
-    Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown, Verdict,
-    acknowledgement, rank, statement,
+    Candidates, Path, Plan, Point, Question, QuestionError, Refused, Reply, RobotRows, Unknown,
+    Verdict, acknowledgement, rank, statement,
 };
 use joulebus_wire::{
     Alarm, AnswerHeader, MAX_QUERY_STEPS, QueryHeader, QueryRefusal, SCHEMA_VERSION, Statement,
@@ -273,6 +273,29 @@ fn rows_taken_again_are_answered_as_if_they_were_the_first_without_following_a_w
     let expected = straight(&robots).answer(&fleet, find, MAX_QUERY_STEPS).unwrap();
     assert_eq!(work.finish_at(new.now_ns), expected);
     assert_ne!(expected.rows[0].answer.left, None);
+}
+
+#[test]
+fn the_worker_answers_a_trip_of_most_of_an_hour_as_its_commands_are_answered() {
+    let (fleet, robots) = (fleet(), Rows::with_usable(200_000.0));
+    let points = [0.0, 200.0, 0.0].map(|x_m| Point::new(x_m, 0.0));
+    let path = Path { dwell_s: vec![0.0, 60.0, 0.0], ..Path::new(&points, 0.15) };
+    let plan = Plan::Follow { robots: vec![7], path: path.clone(), back_to: None };
+    let question = Question { plan, moments: 48, ..Question::default() };
+    let find = |robot| Some(rows(&robots, robot));
+    let reply = question.answer(&fleet, find, MAX_QUERY_STEPS).unwrap();
+    let answer = reply.rows[0].answer;
+    assert!((2_700.0..3_600.0).contains(&answer.duration_s), "{answer:?}");
+    assert_eq!(reply.along[47].answer, answer);
+    let robot = robots.robot(&fleet);
+    let trip = robot.can_finish(&path, None, 0.9).unwrap();
+    assert_eq!(trip.answer, answer);
+    let commands = trip.commands.commands();
+    let columns = (commands.v_mps, commands.omega_radps);
+    let commands = Candidates::new(1, commands.period_s, columns.0, columns.1).unwrap();
+    let alone = robot.what_if(&commands, 0.9).unwrap()[0].energy.unwrap();
+    let energy = answer.energy.unwrap();
+    assert!((energy.mean_j / alone.mean_j - 1.0).abs() < 1e-5, "{energy:?} {alone:?}");
 }
 
 #[test]
