@@ -397,19 +397,21 @@ impl Reply {
         let rows: Vec<AnswerRow> = self.rows.iter().chain(&self.along).map(Row::encode).collect();
         header.rows = count(rows.len());
         words.extend_from_slice(bytemuck::cast_slice(&rows));
-        let fits = rows.len() * ROW_WORDS + self.power_w.len().div_ceil(2) <= MAX_ANSWER_WORDS;
+        let has_reasons = self.rows.iter().chain(&self.along).any(|row| {
+            row.answer.caveats.outside.is_some() || !row.answer.caveats.limits.is_empty()
+        });
+        let reasons = if has_reasons { REASON_WORDS * rows.len() } else { 0 };
+        let used = words.len() + reasons;
+        let fits = used + self.power_w.len().div_ceil(2) <= MAX_ANSWER_WORDS;
         let power_w = if fits { &*self.power_w } else { &[] };
         header.powers = count(power_w.len());
         for pair in power_w.chunks(2) {
             let pair = [pair[0], pair.get(1).copied().unwrap_or(0.0)];
             words.push(bytemuck::cast(pair));
         }
-        let has_reason = |row: &Row| {
-            row.answer.caveats.outside.is_some() || !row.answer.caveats.limits.is_empty()
-        };
-        let fits = words.len() + REASON_WORDS * rows.len() <= MAX_ANSWER_WORDS;
-        if fits && self.rows.iter().any(has_reason) {
-            words.extend(self.rows.iter().flat_map(|row| reason_words(&row.answer.caveats)));
+        if has_reasons && used <= MAX_ANSWER_WORDS {
+            let all = self.rows.iter().chain(&self.along);
+            words.extend(all.flat_map(|row| reason_words(&row.answer.caveats)));
         }
     }
 
@@ -435,11 +437,11 @@ impl Reply {
         })?;
         let before = rows.len() * ROW_WORDS + power_w.len().div_ceil(2);
         let is_along = moments > 0 && rows.len() == 1 + moments;
-        let along = if is_along { rows.split_off(1) } else { Vec::new() };
+        let mut along = if is_along { rows.split_off(1) } else { Vec::new() };
         let (reasons, _) = words.get(before..).unwrap_or_default().as_chunks::<REASON_WORDS>();
-        // A worker of an earlier version tells none.
+        // A worker of an earlier version tells none, or none of the parts.
         if reasons.len() >= rows.len() {
-            for (row, reason) in rows.iter_mut().zip(reasons) {
+            for (row, reason) in rows.iter_mut().chain(&mut along).zip(reasons) {
                 set_reason(&mut row.answer.caveats, reason);
             }
         }

@@ -85,14 +85,15 @@ pub struct Moment {
 }
 
 impl Moment {
-    fn new(answer: &Answer, capacity_j: Option<f64>) -> Self {
+    /// `full_j`: energy in the battery before the trip.
+    fn new(answer: &Answer, full_j: f32, capacity_j: Option<f64>) -> Self {
         let charge = answer.left.zip(answer.energy).zip(capacity_j);
         Self {
             time_s: answer.duration_s,
             energy: answer.energy,
             left: answer.left,
             charge: charge.map(|((left, energy), capacity_j)| {
-                let most_j = left.mean_j + energy.mean_j - energy.lo_j;
+                let most_j = (full_j - energy.lo_j).max(0.0);
                 let share = |energy_j: f32| (f64::from(energy_j) / capacity_j).min(1.0) as f32;
                 [share(left.mean_j), share(left.lo_j), share(most_j)]
             }),
@@ -146,8 +147,9 @@ impl AnswerReport {
     pub fn set_along(&mut self, settings: &FleetSettings, along: &[Row]) {
         let battery = platform(settings, self.robot).and_then(|its| its.battery.as_ref());
         let capacity_j = battery.map(|battery| battery.capacity_j);
-        let its = along.iter().filter(|row| row.robot == self.robot);
-        self.along = its.map(|row| Moment::new(&row.answer, capacity_j)).collect();
+        let its = || along.iter().filter(|row| row.robot == self.robot).map(|row| &row.answer);
+        let full_j = its().next().and_then(full_j).unwrap_or(f32::NAN);
+        self.along = its().map(|answer| Moment::new(answer, full_j, capacity_j)).collect();
     }
 
     /// The charge at the quarters of the trip.
@@ -207,6 +209,11 @@ impl AnswerReport {
 
 fn platform(settings: &FleetSettings, robot: u32) -> Option<&Platform> {
     settings.platforms.iter().find(|its| its.robots.iter().any(|ids| ids.contains(&robot)))
+}
+
+/// Energy in the battery before a trip, by the first of its moments: later ones may find it empty.
+fn full_j(first: &Answer) -> Option<f32> {
+    Some(first.left?.mean_j + first.energy?.mean_j)
 }
 
 /// The line of the spare energy, which is a bound: of the battery the lower one, of the energy the
@@ -322,6 +329,19 @@ mod tests {
         for line in [spare(1.0), missing] {
             assert!(line.contains("upper bound of the energy"), "{line}");
         }
+    }
+
+    #[test]
+    fn the_charge_of_a_battery_that_runs_empty_reaches_0_at_every_bound() {
+        let moment = |mean_j: f32| Answer {
+            energy: Some(Range { mean_j, lo_j: 0.8 * mean_j, hi_j: 1.2 * mean_j }),
+            left: Some(Left { mean_j: (50.0 - mean_j).max(0.0), lo_j: 0.0 }),
+            ..Answer::UNKNOWN
+        };
+        let full_j = full_j(&moment(10.0)).unwrap();
+        let charges = [10.0, 60.0, 100.0]
+            .map(|mean_j| Moment::new(&moment(mean_j), full_j, Some(100.0)).charge.unwrap());
+        assert_eq!(charges, [[0.4, 0.0, 0.42], [0.0, 0.0, 0.02], [0.0; 3]]);
     }
 
     #[test]
