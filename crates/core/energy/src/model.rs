@@ -294,23 +294,32 @@ impl EnergyModel {
     /// level that was measured before it. In the end its mean power is that of another drive. So the
     /// variance between drives is added, in the share of the plan that is beyond the horizon.
     pub(crate) fn errors_within(&self, duration_s: f32, middle: f32, half: f32) -> [f32; KNOTS] {
-        let longest_s = self.longest_s();
-        let is_beyond = duration_s > longest_s && longest_s > 0.0;
-        let errors = self.errors_at(if is_beyond { longest_s } else { duration_s });
+        let errors = self.known_errors(duration_s);
         let (trained_middle, trained_half) = quantiles::middle_and_half(&errors);
         // The trained interval has the trained bits.
         let moved = trained_half * middle;
-        if !is_beyond {
+        let beyond = self.share_beyond(duration_s);
+        if beyond == 0.0 {
             return errors.map(|error| error + moved + (half - 1.0) * (error - trained_middle));
         }
-        let known = half * trained_half;
-        let between = known.max(BETWEEN_DRIVES) * (1.0 - longest_s / duration_s).sqrt();
-        let wide = libm::hypotf(known, between);
+        let wide = extrapolated(half * trained_half, beyond);
         if trained_half > LEAST_HALF {
             let factor = wide / trained_half;
             return errors.map(|error| trained_middle + moved + factor * (error - trained_middle));
         }
         Self::widened([trained_middle + moved; KNOTS], wide)
+    }
+
+    /// Share of a duration that is beyond the longest horizon whose errors are known.
+    pub(crate) fn share_beyond(&self, duration_s: f32) -> f32 {
+        let longest_s = self.longest_s();
+        if longest_s > 0.0 { (1.0 - longest_s / duration_s).max(0.0) } else { 0.0 }
+    }
+
+    /// Quantiles of the error at a horizon, and beyond the longest known one those of that.
+    pub(crate) fn known_errors(&self, horizon_s: f32) -> [f32; KNOTS] {
+        let longest_s = self.longest_s();
+        self.errors_at(if longest_s > 0.0 { horizon_s.min(longest_s) } else { horizon_s })
     }
 
     /// Quantiles widened about their middle to a half width of the 90 % interval, if they are
@@ -331,6 +340,14 @@ impl EnergyModel {
     pub(crate) fn errors_at(&self, horizon_s: f32) -> [f32; KNOTS] {
         between(&self.errors, horizon_s)
     }
+}
+
+/// Half width of the 90 % interval, relative, of a plan or outlook with this share beyond the longest
+/// horizon whose errors are known. `known`: the half width there.
+#[inline(always)]
+pub(crate) fn extrapolated(known: f32, beyond: f32) -> f32 {
+    let between = known.max(BETWEEN_DRIVES);
+    (known * known + between * between * beyond).sqrt()
 }
 
 /// Rows at the horizons, linear between them and constant beyond.

@@ -5,7 +5,7 @@
 
 use crate::calibration::{PARTS, PlatformErrors};
 use crate::levels::{LEVELS, NEWEST, SHADOWS};
-use crate::model::EnergyModel;
+use crate::model::{EnergyModel, extrapolated};
 use crate::quantiles;
 use crate::state::{
     EnergyState, START_S, contradictions, error_shares, mixed, outlook_parts, weighted,
@@ -27,7 +27,7 @@ pub struct EnergyOutlook<const HORIZONS: usize> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct OutlookModel<const HORIZONS: usize> {
     horizons: [Horizon; HORIZONS],
-    bounded: usize,
+    is_bounded: bool,
     prior_s: [f32; LEVELS],
     mean_w: f32,
     mean_share: f32,
@@ -44,9 +44,12 @@ struct Horizon {
     per_variance: f32,
     /// Weights of the bounds of a robot's errors.
     shares: [f32; SHADOWS],
-    /// Middle and half width of the trained 90 % interval, relative. NaN if unknown.
+    /// Middle and half width of the trained 90 % interval, relative, at the longest horizon whose
+    /// errors are known, if this one is longer. NaN if unknown.
     middle: f32,
     half: f32,
+    /// Share of this horizon beyond that.
+    beyond: f32,
 }
 
 impl EnergyModel {
@@ -56,9 +59,9 @@ impl EnergyModel {
         horizons_s: [f32; HORIZONS],
     ) -> OutlookModel<HORIZONS> {
         let horizon = |seconds: f32| {
-            let (spread, errors) = (self.spread_at(seconds), self.errors_at(seconds));
-            let known = |value| if self.covers(seconds) { value } else { f32::NAN };
-            let (middle, half) = quantiles::middle_and_half(&errors);
+            let spread = self.spread_at(seconds);
+            let known = |value| if self.longest_s() > 0.0 { value } else { f32::NAN };
+            let (middle, half) = quantiles::middle_and_half(&self.known_errors(seconds));
             Horizon {
                 seconds,
                 weights: self.weights_at(seconds).0,
@@ -66,11 +69,12 @@ impl EnergyModel {
                 shares: error_shares(seconds),
                 middle: known(middle),
                 half: known(half),
+                beyond: self.share_beyond(seconds),
             }
         };
         OutlookModel {
             horizons: horizons_s.map(horizon),
-            bounded: horizons_s.into_iter().filter(|seconds| self.covers(*seconds)).count(),
+            is_bounded: self.longest_s() > 0.0,
             prior_s: self.prior_s,
             mean_w: self.command.mean_w,
             mean_share: self.mean_share,
@@ -80,9 +84,14 @@ impl EnergyModel {
 }
 
 impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
-    /// Number of horizons, from the shortest, with bounds.
+    /// Number of horizons, from the shortest, with bounds: all, or none of a model without errors.
     pub const fn bounded(&self) -> usize {
-        self.bounded
+        if self.is_bounded { HORIZONS } else { 0 }
+    }
+
+    /// True if the bounds of the longest horizon are extrapolated beyond those whose errors are known.
+    pub const fn is_extrapolated(&self) -> bool {
+        self.horizons[HORIZONS - 1].beyond > 0.0
     }
 
     /// The energy of a robot. A part of it is the mean power of its levels, weighted for each
@@ -163,9 +172,11 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
             let wider = 0.5 * weights[place].1 * (upper - lower);
             let (lower, upper) = (lower - wider, upper + wider);
             let scale_j = energy_j.abs() + self.mean_share * (mean_j - energy_j.abs());
+            let middle = horizon.middle + horizon.half * 0.5 * (lower + upper);
+            let half = extrapolated(horizon.half * 0.5 * (upper - lower), horizon.beyond);
             outlook.energy_j[place] = energy_j;
-            outlook.lo_j[place] = energy_j + scale_j * (horizon.middle + horizon.half * lower);
-            outlook.hi_j[place] = energy_j + scale_j * (horizon.middle + horizon.half * upper);
+            outlook.lo_j[place] = energy_j + scale_j * (middle - half);
+            outlook.hi_j[place] = energy_j + scale_j * (middle + half);
         }
         outlook
     }

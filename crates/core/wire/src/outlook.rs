@@ -22,6 +22,8 @@ bits! {
         pub const TIME_TO_EMPTY: u32 = 1 << 2;
         /// The last row of the model lay outside the range that it was trained on.
         pub const OUTSIDE_TRAINING: u32 = 1 << 3;
+        /// Bounds of the longest horizons are extrapolated beyond those whose errors are known.
+        pub const EXTRAPOLATED: u32 = 1 << 4;
     }
 }
 
@@ -32,8 +34,8 @@ rows! {
     /// follows from its own recent power, with the platform's mean as the prior.
     ///
     /// The horizons are 1, 10, 60 and 300 s from `stamp_ns` on, in this order in each array. The
-    /// energy lies between the bounds (`_lo`, `_hi`) with 90 %. Only the first `bounded` horizons
-    /// have bounds: the model has no known errors beyond.
+    /// energy lies between the bounds (`_lo`, `_hi`) with 90 %. The first `bounded` horizons have
+    /// bounds: all, or none of a model without known errors.
     pub struct Outlook: "joulebus.Outlook.v1", 96 {
         /// Id of the robot.
         pub robot: u32,

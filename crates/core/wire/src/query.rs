@@ -41,7 +41,8 @@ pub const ANSWER_RULES: u32 = 7;
 /// BiasLow are retired. What one robot moves of the memory is bounded in any fleet. A robot may say
 /// that it is switched off, and persons state batteries.
 ///
-/// 10: the capacity of batteries and their charging rates are learned.
+/// 10: the capacity of batteries and their charging rates are learned. Outlooks have bounds beyond
+/// the horizons whose errors are known.
 pub const TICK_RULES: u32 = 10;
 
 /// Maximum number of values of a question.

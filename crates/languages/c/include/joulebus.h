@@ -138,6 +138,8 @@
 #define JOULEBUS_OUTLOOK_TIME_TO_EMPTY 0x4u
 /** The last row of the model lay outside the range that it was trained on. */
 #define JOULEBUS_OUTLOOK_OUTSIDE_TRAINING 0x8u
+/** Bounds of the longest horizons are extrapolated beyond those whose errors are known. */
+#define JOULEBUS_OUTLOOK_EXTRAPOLATED 0x10u
 
 /** A sample has been accepted: stamp_ns is known. */
 #define JOULEBUS_PLAN_STATE_SAMPLE 0x1u

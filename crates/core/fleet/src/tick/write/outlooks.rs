@@ -96,7 +96,8 @@ impl<'a> Outlooks<'a> {
             flags: flag(admission.accepted, outlook_flag::SAMPLE)
                 | flag(known, outlook_flag::ENERGY)
                 | flag(lasts, outlook_flag::TIME_TO_EMPTY)
-                | flag(admission.outside_training, outlook_flag::OUTSIDE_TRAINING),
+                | flag(admission.outside_training, outlook_flag::OUTSIDE_TRAINING)
+                | flag(known & context.outlook.is_extrapolated(), outlook_flag::EXTRAPOLATED),
             quality,
             quality_detail,
             platform: admission.platform,
