@@ -49,6 +49,8 @@ const MOMENTS: usize = 48;
     there. With times, speeds are upper limits, and a repeated point is a wait. The answer says if \
     the robot is more than a second late:\n\n    \
     x_m,y_m,speed_mps,dwell_s,load_w\n    0,0,,,\n    2,0,0.2,30,\n    2,1.5,0.1,,1.5\n\n\
+    An order of VDA 5050 with its nodes and edges, or a nav_msgs/Path, as JSON, is a path file too. \
+    The maxSpeed of an edge is its speed, but for a lower --speed. Stamps that differ are times.\n\n\
     Only the shape of the path counts, not how many points describe it.\n\n\
     Verdict yes: on every leg, the upper end of the energy fits into the lower bound of what the \
     battery can spare above its reserve. tight: only the expected energy fits, or the robot's own \
@@ -82,7 +84,7 @@ pub(crate) struct Args {
     /// others, then by energy
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
     rank: Vec<u32>,
-    /// Follow this path (CSV)
+    /// Follow this path (CSV, an order of VDA 5050, or a nav_msgs/Path as JSON)
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
     /// Stand still for this time, s

@@ -1,10 +1,11 @@
-//! Paths in files: CSV with a header.
+//! Paths in files: CSV with a header, an order of VDA 5050, or a `nav_msgs/Path` as JSON.
 
 use std::path::Path as FilePath;
 
 use anyhow::Context as _;
 use joulebus_plan::{Path, Point};
 use joulebus_program::exit::UsageError;
+use serde::Deserialize;
 
 /// Maximum size of a path file.
 const MAX_BYTES: u64 = 16 << 20;
@@ -20,8 +21,130 @@ pub(super) fn read(file: &FilePath, speed_mps: Option<f64>) -> anyhow::Result<Pa
     parse(&text, speed_mps).map_err(|error| UsageError(format!("{}: {error}", named())).into())
 }
 
+/// A message that states a path, as JSON. Its shape says which.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Message {
+    Order {
+        nodes: Vec<Node>,
+        edges: Vec<Edge>,
+    },
+    Poses {
+        poses: Vec<Stamped>,
+    },
+    /// As rosbridge publishes it.
+    Published {
+        msg: Box<Message>,
+    },
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Node {
+    node_id: String,
+    sequence_id: u64,
+    node_position: Option<Position>,
+}
+
+#[derive(Deserialize)]
+struct Position {
+    x: f64,
+    y: f64,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+struct Edge {
+    edge_id: String,
+    end_node_id: String,
+    sequence_id: u64,
+    max_speed: Option<f64>,
+    trajectory: Option<serde::de::IgnoredAny>,
+}
+
+#[derive(Deserialize)]
+struct Stamped {
+    #[serde(default)]
+    header: Header,
+    pose: Pose,
+}
+
+#[derive(Deserialize)]
+struct Pose {
+    position: Position,
+}
+
+#[derive(Deserialize, Default)]
+struct Header {
+    #[serde(default)]
+    stamp: Stamp,
+}
+
+/// A stamp of ROS 2, or of ROS 1.
+#[derive(Deserialize, Default)]
+struct Stamp {
+    #[serde(default, alias = "secs")]
+    sec: f64,
+    #[serde(default, alias = "nsecs")]
+    nanosec: f64,
+}
+
+impl Message {
+    fn path(self, speed_mps: f64) -> Result<Path, String> {
+        match self {
+            Self::Published { msg } => msg.path(speed_mps),
+            Self::Poses { poses } => Ok(of_poses(&poses, speed_mps)),
+            Self::Order { nodes, edges } => of_order(nodes, &edges, speed_mps),
+        }
+    }
+}
+
+/// Poses of which all have one stamp, as those of a planner, have no times.
+fn of_poses(poses: &[Stamped], speed_mps: f64) -> Path {
+    let at = |pose: &Stamped| Point::new(pose.pose.position.x, pose.pose.position.y);
+    let points: Vec<Point> = poses.iter().map(at).collect();
+    let time_s =
+        |Stamped { header: Header { stamp }, .. }: &Stamped| stamp.sec + 1e-9 * stamp.nanosec;
+    let time_s: Vec<f64> = poses.iter().map(time_s).collect();
+    let is_timed = time_s.windows(2).any(|pair| pair[0] != pair[1]);
+    Path { time_s: if is_timed { time_s } else { Vec::new() }, ..Path::new(&points, speed_mps) }
+}
+
+/// The horizon of an order is part of the trip. Its speeds are limits, and so is one that is asked for.
+fn of_order(mut nodes: Vec<Node>, edges: &[Edge], speed_mps: f64) -> Result<Path, String> {
+    nodes.sort_by_key(|node| node.sequence_id);
+    let mut path = Path::default();
+    for Node { node_id, sequence_id, node_position } in nodes {
+        let Some(Position { x, y }) = node_position else {
+            return Err(format!("node {node_id:?} has no nodePosition: state x and y"));
+        };
+        let is_towards =
+            |edge: &&Edge| edge.end_node_id == node_id && edge.sequence_id + 1 == sequence_id;
+        let edge = edges.iter().find(is_towards);
+        if let Some(Edge { edge_id, .. }) = edge.filter(|edge| edge.trajectory.is_some()) {
+            return Err(format!(
+                "edge {edge_id:?} has a trajectory: only straight edges are read. State points of \
+                 it as nodes"
+            ));
+        }
+        path.points.push(Point::new(x, y));
+        path.speed_mps.push(
+            edge.and_then(|edge| edge.max_speed).map_or(speed_mps, |most| speed_mps.min(most)),
+        );
+    }
+    Ok(path)
+}
+
 fn parse(text: &str, speed_mps: Option<f64>) -> Result<Path, String> {
-    let lines = text.trim_start_matches('\u{feff}').lines().zip(1..);
+    let text = text.trim_start_matches('\u{feff}');
+    if text.trim_start().starts_with('{') {
+        let expected = "expected an order of VDA 5050 with nodes and edges, or a nav_msgs/Path with \
+                        poses, as JSON";
+        let message: Message =
+            serde_json::from_str(text).map_err(|error| format!("{error}: {expected}"))?;
+        return message.path(speed_mps.unwrap_or(f64::INFINITY));
+    }
+    let lines = text.lines().zip(1..);
     let mut lines = lines.filter(|(line, _)| !line.trim().is_empty());
     let expected =
         format!("expected the columns x_m,y_m and, if wanted, {}", COLUMNS[2..].join(","));
@@ -89,8 +212,51 @@ mod tests {
     }
 
     #[test]
+    fn orders_of_vda_5050_and_paths_of_ros_are_recognised_by_their_shape() {
+        let order = r#"{"headerId": 1, "orderId": "o", "nodes": [
+            {"nodeId": "b", "sequenceId": 2, "released": true,
+             "nodePosition": {"x": 2.0, "y": -1.0, "theta": 0.5, "mapId": "hall"}, "actions": []},
+            {"nodeId": "a", "sequenceId": 0, "released": true, "nodePosition": {"x": 0, "y": 0}},
+            {"nodeId": "a", "sequenceId": 4, "released": false, "nodePosition": {"x": 0, "y": 0}}],
+            "edges": [
+            {"edgeId": "ab", "sequenceId": 1, "startNodeId": "a", "endNodeId": "b", "maxSpeed": 0.3},
+            {"edgeId": "ba", "sequenceId": 3, "startNodeId": "b", "endNodeId": "a"}]}"#;
+        assert_eq!(parse(order, Some(0.2)).expect("valid").speed_mps, [0.2; 3]);
+        let path = parse(order, None).expect("valid");
+        assert_eq!(
+            path.points,
+            [(0.0, 0.0), (2.0, -1.0), (0.0, 0.0)].map(|(x, y)| Point::new(x, y))
+        );
+        assert_eq!(path.speed_mps, [f64::INFINITY, 0.3, f64::INFINITY]);
+        let poses = |stamps: [&str; 2], names: [&str; 2]| {
+            let [sec, nanosec] = names;
+            let pose = |x, stamp| {
+                format!(
+                    r#"{{"header": {{"stamp": {{"{sec}": {stamp}, "{nanosec}": 500000000}}}},
+                    "pose": {{"position": {{"x": {x}, "y": 1.0, "z": 0}}, "orientation": {{}}}}}}"#
+                )
+            };
+            format!(r#"{{"poses": [{}, {}]}}"#, pose(0, stamps[0]), pose(3, stamps[1]))
+        };
+        let timed = poses(["7", "9"], ["sec", "nanosec"]);
+        let path = parse(&timed, None).expect("valid");
+        assert_eq!((&path.points[1], &path.time_s), (&Point::new(3.0, 1.0), &vec![7.5, 9.5]));
+        let published = format!(r#"{{"op": "publish", "topic": "/plan", "msg": {timed}}}"#);
+        assert_eq!(parse(&published, None).expect("valid"), path);
+        let planned = poses(["7", "7"], ["secs", "nsecs"]);
+        assert!(parse(&planned, None).expect("valid").time_s.is_empty());
+    }
+
+    #[test]
     fn wrong_files_are_refused_with_the_line() {
         for (text, expected) in [
+            (r#"{"points": []}"#, "VDA 5050"),
+            (r#"{"nodes": [{"nodeId": "a", "sequenceId": 0}], "edges": []}"#, "nodePosition"),
+            (
+                r#"{"nodes": [{"nodeId": "a", "sequenceId": 2, "nodePosition": {"x": 1, "y": 2}}],
+                "edges": [{"edgeId": "e", "sequenceId": 1, "endNodeId": "a", "trajectory": {}}]}"#,
+                "trajectory",
+            ),
             ("", "empty"),
             ("0,0\n1,1\n", "x_m,y_m"),
             ("x_m,y_m,z_m\n0,0,0\n", "x_m,y_m"),
