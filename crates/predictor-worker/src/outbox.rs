@@ -125,6 +125,7 @@ impl Headers {
                 worker_epoch,
                 tick,
                 refused: fleet.refusals(),
+                platforms: fleet.platform_memories(),
             },
             budgets: BudgetHeader { schema, pid, worker_epoch, tick, ..BudgetHeader::default() },
             plan_states: PlanStateHeader {

@@ -19,7 +19,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::levels::{SHADOWS, SHADOWS_S};
-use crate::memory::{self, GROUPS, Memory, POWER, SCATTER, Shown, shown};
+use crate::memory::{self, GROUPS, LEVEL, Memory, POWER, SCATTER, Shown, shown};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
@@ -105,6 +105,13 @@ impl<T> ErrorCounts<T> {
 }
 
 impl ErrorCounts<f32> {
+    /// Forgets the levels of the groups: those of another day say little of this one's floor.
+    #[must_use]
+    pub fn without_levels(mut self) -> Self {
+        self.groups.iter_mut().for_each(|shown| shown[LEVEL] = [0.0; 2]);
+        self
+    }
+
     /// True if robots could have shown what the groups remember.
     pub fn has_sound_groups(&self) -> bool {
         self.groups.iter().all(memory::is_sound)
@@ -123,12 +130,14 @@ pub struct NewErrors {
 }
 
 impl NewErrors {
-    /// What the robot has shown, with the scatter of its levels in that of the model, if it is
-    /// known: once a second.
-    pub fn shown_with(&self, scatter: Option<f32>) -> Shown {
+    /// What the robot has shown, with the scatter of its levels in that of the model, and its level
+    /// in the power of its commands, if they are known: once a second.
+    pub fn shown_with(&self, of_levels: [Option<f32>; 2]) -> Shown {
         let mut all = self.shown;
-        if let Some(scatter) = scatter.filter(|_| all[POWER][0] > 0) {
-            all[SCATTER] = shown(SCATTER, 1.0, scatter);
+        for (quantity, number) in [SCATTER, LEVEL].into_iter().zip(of_levels) {
+            if let Some(number) = number.filter(|_| all[POWER][0] > 0) {
+                all[quantity] = shown(quantity, 1.0, number);
+            }
         }
         all
     }

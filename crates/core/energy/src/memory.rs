@@ -22,7 +22,7 @@ pub const GROUPS: usize = 32;
 const QUORUM: f32 = 8.0;
 
 /// Quantities that are remembered: the place of each in [`Shown`].
-pub const SHOWN: usize = 4;
+pub const SHOWN: usize = 5;
 /// Seconds of a robot: their number, and their power in the platform's trained mean.
 pub(crate) const POWER: usize = 0;
 /// The first readings of a robot: their number, and the [excess](Memory::start_excess).
@@ -32,6 +32,8 @@ pub(crate) const TRUST: usize = 2;
 /// Seconds of a robot with known scatter of its levels: their number, and the standard deviation in
 /// that of the model.
 pub(crate) const SCATTER: usize = 3;
+/// Seconds of a robot with a known level: their number, and its power in that of its commands.
+pub(crate) const LEVEL: usize = 4;
 
 /// Weight and sum of each quantity.
 pub type Shown<T = i64> = [[T; 2]; SHOWN];
@@ -39,11 +41,12 @@ pub type Shown<T = i64> = [[T; 2]; SHOWN];
 /// A weight or sum of 1, as an integer.
 const UNIT: f32 = 65536.0;
 /// Largest number that a robot may show.
-const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0, 64.0];
-/// Largest weight that a group remembers. Older parts fade: two hours of a robot, four starts.
-const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0, 7_200.0];
+const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0, 64.0, 64.0];
+/// Largest weight that a group remembers. Older parts fade: two hours of a robot, four starts. A
+/// level is a mean already, so the newest ones count.
+const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0, 7_200.0, 3.0];
 /// Weight with which a group counts half: 2 s of a robot, one start, 10 s of scatter.
-const HALF: [f32; SHOWN] = [2.0, 1.0, 0.1, 10.0];
+const HALF: [f32; SHOWN] = [2.0, 1.0, 0.1, 10.0, 0.1];
 
 /// A weight and a number as [`Shown`] has them. None of either if they are not finite.
 pub(crate) fn shown(quantity: usize, weight: f32, number: f32) -> [i64; 2] {
@@ -120,12 +123,28 @@ pub struct Memory {
     pub start_excess: f32,
     /// Scatter of the robots' levels of power, in that of the model's errors: 1/4 to 4.
     pub scatter: f32,
+    /// Median of the robots' mean powers, in the platform's trained mean. 0 before the first robot.
+    /// It is only told: one robot of two kinds may move it far.
+    pub drawn: f32,
+    /// Median of the robots' powers, in those of their commands by the model. 0 while fewer than
+    /// eight are known.
+    pub level: f32,
+    /// Relative standard deviation of these powers between robots: 2.5 to 40 %.
+    pub spread: f32,
 }
 
 impl Memory {
     /// Before the first robot.
-    pub const TRAINED: Self =
-        Self { robots: 0.0, power: 1.0, command_trust: 1.0, start_excess: 0.0, scatter: 1.0 };
+    pub const TRAINED: Self = Self {
+        robots: 0.0,
+        power: 1.0,
+        command_trust: 1.0,
+        start_excess: 0.0,
+        scatter: 1.0,
+        drawn: 0.0,
+        level: 0.0,
+        spread: SPREAD,
+    };
 
     /// Of the remembered weights and sums of each group.
     pub(crate) fn of(groups: &[Shown<f32>; GROUPS]) -> Self {
@@ -137,12 +156,21 @@ impl Memory {
             let most = MAX[quantity];
             (sum / weight.max(f32::MIN_POSITIVE)).clamp(-most, most)
         };
-        let ratio = |quantity: usize| {
-            Known::new(groups, quantity)
-                .mean_ratio(groups.each_ref().map(|shown| means(quantity, shown[quantity])))
-        };
+        let all = |quantity: usize| groups.each_ref().map(|shown| means(quantity, shown[quantity]));
+        let ratio = |quantity: usize| Known::new(groups, quantity).mean_ratio(all(quantity));
+        let (levels, of_levels) = (Known::new(groups, LEVEL), all(LEVEL));
+        let level = levels.median(&of_levels);
+        // The geometric mean of the sizes of what is normal, in its standard deviation.
+        const SIZE: f32 = 0.53;
+        let apart = of_levels.map(|of_group| {
+            let share = of_group / level.max(f32::MIN_POSITIVE);
+            (2.0 - 4.0 / (1.0 + share.max(0.0))).abs() / (SIZE * SPREAD)
+        });
         Self {
             robots: power.sum,
+            drawn: power.median(&all(POWER)),
+            level: if levels.missing() > 0.5 { 0.0 } else { level },
+            spread: SPREAD * levels.mean_ratio(apart),
             power: ratio(POWER),
             command_trust: trust.mean(1.0, groups.each_ref().map(|shown| trusts(shown[TRUST]))),
             start_excess: Known::new(groups, START)
@@ -158,6 +186,9 @@ impl Memory {
         self.start_excess > WORSE
     }
 }
+
+/// Relative standard deviation between the levels of robots that have shown none.
+const SPREAD: f32 = 0.1;
 
 /// How well each group is known, 0 to 1.
 struct Known {
@@ -184,6 +215,19 @@ impl Known {
             sum += self.weights[group] * numbers[group];
         }
         sum / self.sum.max(QUORUM)
+    }
+
+    /// The median of the groups that are known by more than half. 0 without one.
+    fn median(&self, numbers: &[f32; GROUPS]) -> f32 {
+        let (mut known, mut count) = ([f32::INFINITY; GROUPS], 0);
+        for group in 0..GROUPS {
+            if self.weights[group] > 0.5 {
+                known[count] = numbers[group];
+                count += 1;
+            }
+        }
+        known.sort_unstable_by(f32::total_cmp);
+        if count == 0 { 0.0 } else { 0.5 * (known[(count - 1) / 2] + known[count / 2]) }
     }
 
     /// The mean of ratios, of which no robot that draws four times as much moves more than
@@ -336,6 +380,40 @@ mod tests {
             for (hours, factor) in [-4.0, 0.0, 0.25, 4.0, 60.0].map(|factor| (100, factor)) {
                 let by = (fleet(factor, hours) / fleet(1.0, 1) - 1.0).abs();
                 assert!(by <= 0.05, "{others} and one at {factor}: {by}");
+            }
+        }
+    }
+
+    fn among(robots: impl IntoIterator<Item = (u32, f32)>) -> Memory {
+        let mut groups = [Shown::default(); GROUPS];
+        for (robot, level) in robots {
+            let mut new = Shown::default();
+            new[LEVEL] = shown(LEVEL, 1.0, level).map(|number| 3 * number);
+            add(&mut groups[group_of(robot)], &new);
+        }
+        Memory::of(&groups)
+    }
+
+    #[test]
+    fn levels_of_eight_robots_have_a_median_and_a_spread_and_one_robot_decides_neither() {
+        let ripple = |robot: u32, spread: f32| 1.0 + spread * ((robot * 7 % 11) as f32 - 5.0) / 3.3;
+        let robots = |count: u32, spread: f32| {
+            (0..count).map(move |robot| (robot, 0.6 * ripple(robot, spread)))
+        };
+        assert_eq!(among(robots(7, 0.02)).level, 0.0, "too few");
+        for (count, spread, expected) in
+            [(8, 0.02, 0.08), (20, 0.02, 0.06), (32, 0.02, 0.04), (32, 0.1, 0.1), (32, 0.3, 0.3)]
+        {
+            let usual = among(robots(count, spread));
+            assert!((usual.level / 0.6 - 1.0).abs() < 0.05 + spread / 3.0, "{usual:?}");
+            let found = usual.spread / expected;
+            assert!((0.7..1.4).contains(&found), "{count}, {spread}: {usual:?}");
+            for factor in [0.0, 0.25, 4.0, 1e9] {
+                let all = robots(count, spread);
+                let moved = among(all.map(|(id, at)| (id, if id == 3 { factor * at } else { at })));
+                let [level, by] = [moved.level / usual.level, moved.spread / usual.spread];
+                assert!((level - 1.0).abs() <= spread, "{count}, {spread}, {factor}: {moved:?}");
+                assert!((0.8..1.25).contains(&by), "{count}, {spread}, {factor}: {by}");
             }
         }
     }

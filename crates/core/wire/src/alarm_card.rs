@@ -262,21 +262,22 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "LevelHigh",
         level: Level::Warn,
-        meaning: "The robot draws more than it did before for the same commands. The alarm stays \
-            until the power is back, somebody acknowledges it as the new normal, or the worker \
+        meaning: "For the same commands the robot draws more than it did before, or than the \
+            platform's other robots do. The alarm stays until the power is back, somebody acknowledges it as the new normal, or the worker \
             restarts. Meanwhile the worker does not learn the new level.",
         check: "Floor? Another floor or slope looks like a load. Otherwise: a load, a dragging \
             wheel, a device that was switched on? If the change is intended, such as a payload, \
             acknowledge it as the new normal.",
         keys: &["alarms.level_limit"],
         found_within: "seconds if the power doubles, ten seconds if it rises by two fifths, a \
-            minute if it rises by 30 % a minute (after five seconds of known commands)",
+            minute if it rises by 30 % a minute (after five seconds of known commands). Half a \
+            minute if it is doubled from the first sample on, beside eight other robots",
     },
     AlarmCard {
         name: "LevelLow",
         level: Level::Warn,
-        meaning: "The robot draws less than it did before for the same commands. The alarm stays \
-            until the power is back, somebody acknowledges it as the new normal, or the worker \
+        meaning: "For the same commands the robot draws less than it did before, or than the \
+            platform's other robots do. The alarm stays until the power is back, somebody acknowledges it as the new normal, or the worker \
             restarts. Meanwhile the worker does not learn the new level.",
         check: "Does it drive at all? Look for a wheel in the air, a stalled driver, commands \
             that do not reach it. Is the gain of the power monitor right? If a load was taken off, \

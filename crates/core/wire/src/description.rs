@@ -4,9 +4,10 @@ use crate::{
     Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
     DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
     MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, MAX_QUERY_VALUES, Outlook,
-    OutlookHeader, PlanState, PlanStateHeader, Quality, QueryHeader, QueryKind, QueryRefusal,
-    Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag, budget_flag,
-    diagnostic_flag, forecast_flag, outlook_flag, plan_state_flag, query_flag, sample_flag,
+    OutlookHeader, PlanState, PlanStateHeader, PlatformMemory, Quality, QueryHeader, QueryKind,
+    QueryRefusal, Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag,
+    budget_flag, diagnostic_flag, forecast_flag, outlook_flag, plan_state_flag, platform_flag,
+    query_flag, sample_flag,
 };
 
 /// Constants that belong together: bits of a field, or its codes.
@@ -42,6 +43,7 @@ pub fn layouts() -> Vec<StructLayout> {
         Forecast::LAYOUT,
         ForecastHeader::LAYOUT,
         Diagnostic::LAYOUT,
+        PlatformMemory::LAYOUT,
         DiagnosticHeader::LAYOUT,
         Budget::LAYOUT,
         BudgetHeader::LAYOUT,
@@ -65,6 +67,7 @@ pub fn constants() -> Vec<Constants> {
         ("BUDGET", budget_flag::TABLE),
         ("OUTLOOK", outlook_flag::TABLE),
         ("PLAN_STATE", plan_state_flag::TABLE),
+        ("PLATFORM", platform_flag::TABLE),
         ("QUERY", query_flag::TABLE),
         ("ANSWER", answer_flag::TABLE),
     ];

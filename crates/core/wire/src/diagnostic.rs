@@ -115,8 +115,7 @@ impl Diagnostic {
 
 rows! {
     /// Header of a frame of diagnostics.
-    #[derive(Eq)]
-    pub struct DiagnosticHeader: "joulebus.DiagnosticHeader.v1", 280 {
+    pub struct DiagnosticHeader: "joulebus.DiagnosticHeader.v2", 856 {
         /// [`crate::SCHEMA_VERSION`].
         pub schema: u32,
         /// Process id of the worker.
@@ -128,6 +127,9 @@ rows! {
         pub tick: u64,
         /// Recent refusals. See [`DiagnosticHeader::refusals`].
         pub refused: [crate::Refusal; 16],
+        /// What the robots of each platform have shown, in the order of the config. Of the first
+        /// 16 platforms.
+        pub platforms: [crate::PlatformMemory; 16],
     }
 }
 

@@ -13,6 +13,7 @@ mod journal;
 mod layout;
 mod outlook;
 mod plan_state;
+mod platform_memory;
 mod query;
 mod reason;
 mod sample;
@@ -38,6 +39,7 @@ pub use journal::{TakenFrame, TickHeader, tick_flag};
 pub use layout::{FieldLayout, FieldRole, FieldType, Payload, Row, StructLayout, declare};
 pub use outlook::{OUTLOOK_HORIZONS, OUTLOOK_S, Outlook, OutlookHeader, outlook_flag};
 pub use plan_state::{LISTED_MODELS, PlanState, PlanStateHeader, plan_state_flag};
+pub use platform_memory::{PlatformMemory, platform_flag};
 pub use query::{
     ANSWER_RULES, AnswerHeader, AnswerRow, MAX_ANSWER_WORDS, MAX_QUERY_CANDIDATES,
     MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, MAX_QUERY_VALUES, MAX_RECORD_WORDS, QueriesHeader,

@@ -42,7 +42,8 @@ pub const ANSWER_RULES: u32 = 7;
 /// that it is switched off, and persons state batteries.
 ///
 /// 10: the capacity of batteries and their charging rates are learned. Outlooks have bounds beyond
-/// the horizons whose errors are known.
+/// the horizons whose errors are known. Levels of robots are also compared with those of the
+/// platform's other robots.
 pub const TICK_RULES: u32 = 10;
 
 /// Maximum number of values of a question.

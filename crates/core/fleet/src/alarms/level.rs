@@ -19,11 +19,17 @@
 //! scatter that its robots [have shown](joulebus_energy::Memory::scatter) if it is above 1. A quick
 //! mean needs [`QUICK`] of the limit, a slow one [`SLOW`] of it, for [`HOLD_S`].
 //!
+//! **Among others.** A robot that has had its load from the first sample on has no level without it.
+//! So its own level is also compared with the median of its platform's robots, once eight
+//! [are known](joulebus_energy::Memory::level), in standard deviations between robots. That needs
+//! [`AMONG`] of the limit. While an alarm is raised, the slow mean is compared: it may end it.
+//!
 //! **Nothing is learned away.** While an alarm is raised the own level is frozen. While the
 //! deviation is above [`CAREFUL_FROM`] of the limit it learns at an eighth of the rate.
 //!
 //! **New normal.** A person can acknowledge the level, for instance of a payload. The robot then
-//! learns its own level anew, and is judged after [`SETTLE_S`]. Its scatter stays.
+//! learns its own level anew, and is judged after [`SETTLE_S`]. Its scatter stays. It is no longer
+//! compared with other robots.
 //!
 //! **Where levels come and go.** An alarm that ends by itself doubles the robot's variances
 //! ([`GROWTH`]): on changing ground it is raised a few times, and then more seldom.
@@ -41,7 +47,7 @@
 
 use joulebus_energy::{EnergyModel, Memory};
 use joulebus_settings::{AlarmSettings, Platform};
-use joulebus_wire::{Alarm, AlarmSet};
+use joulebus_wire::{Alarm, AlarmSet, PlatformMemory};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes, block};
@@ -53,6 +59,10 @@ const MEANS_S: [f32; 2] = [2.0, 12.0];
 const QUICK: f32 = 1.0;
 /// That of the slow mean, which scatters less.
 const SLOW: f32 = 0.5;
+/// That of the own level, beside those of other robots.
+const AMONG: f32 = 0.75;
+/// Seconds of the own level before it is compared with others, and before it is shown to them.
+const AMONG_S: f32 = 10.0;
 /// Age from which the slow mean is judged, s.
 const SLOW_AGE_S: f32 = 6.0;
 /// Time constant of the own level, s.
@@ -71,8 +81,6 @@ const CORRELATED_S: f32 = 3.0;
 const LEAST: f32 = 0.02;
 /// A deviation counts as this many standard deviations at most when the scatter is learned.
 const MAX_SCATTER: f32 = 3.0;
-/// A robot whose level is this many times the platform's, or this part of it, is of another kind.
-const UNLIKE: f32 = 4.0;
 /// Least relative standard deviation of such a robot.
 const UNLIKE_SCATTER: f32 = 0.25;
 /// Powers are relative to this share of the platform's mean power at least. Of an untrained model,
@@ -103,6 +111,10 @@ const GROWTH: f32 = 2.0;
 const HIGH: u32 = AlarmSet(0).with(Alarm::LevelHigh).0;
 const LOW: u32 = AlarmSet(0).with(Alarm::LevelLow).0;
 const KIND: u32 = AlarmSet(0).with(Alarm::ModelMismatch).0;
+/// No alarm: a person has accepted the level as the new normal.
+const ACCEPTED: u32 = 1 << 31;
+/// A robot whose level is this many times the platform's, or this part of it, is of another kind.
+const UNLIKE: f32 = PlatformMemory::UNLIKE;
 
 /// Rules for the levels of a platform's robots.
 #[derive(Debug, Clone, Copy)]
@@ -112,6 +124,9 @@ pub(crate) struct LevelRules {
     floor_w: f32,
     /// Squared relative standard deviations of the platform's means.
     variances: [f32; 2],
+    /// The platform's [`Memory::level`], and its squared [`Memory::spread`].
+    among: f32,
+    spread: f32,
     command: CommandPower,
 }
 
@@ -133,6 +148,8 @@ impl LevelRules {
         period_s: 0.0,
         floor_w: 0.0,
         variances: [1.0; 2],
+        among: 0.0,
+        spread: 1.0,
         command: CommandPower::Model,
     };
 
@@ -146,6 +163,8 @@ impl LevelRules {
             period_s: platform.period_ns as f32 * 1e-9,
             floor_w: mean_w * if is_trained { FLOOR } else { UNTRAINED_FLOOR },
             variances: [0, 1].map(|place| spread(place) * spread(place)),
+            among: 0.0,
+            spread: 1.0,
             command: if !is_trained {
                 CommandPower::Allowed(mean_w, [platform.v_max_mps, platform.omega_max_radps])
             } else if energy.command.reads_commands() {
@@ -156,12 +175,17 @@ impl LevelRules {
         }
     }
 
-    /// The rules where the platform's robots have shown this scatter.
+    /// The rules where the platform's robots have shown this.
     #[inline(always)]
     pub(crate) fn among(&self, memory: &Memory) -> Self {
         let scatter = memory.scatter.max(1.0);
         let square = scatter * scatter;
-        Self { variances: self.variances.map(|variance| square * variance), ..*self }
+        Self {
+            variances: self.variances.map(|variance| square * variance),
+            among: memory.level,
+            spread: memory.spread * memory.spread,
+            ..*self
+        }
     }
 
     /// The power of a command: `model_w` is the energy model's. NaN if it is unknown.
@@ -230,8 +254,8 @@ pub(crate) struct Level {
     slow_variance: f32,
     /// Time for which they have been learned, s.
     scatter_s: f32,
-    /// Bits of [`AlarmSet`].
-    pub raised: u32,
+    /// Bits of [`AlarmSet`], and [`ACCEPTED`].
+    raised: u32,
     /// Time for which a deviation has been beyond the limit, s.
     beyond_s: f32,
 }
@@ -257,7 +281,7 @@ block! {
         quick_variance: f32,
         slow_variance: f32,
         scatter_s: f32,
-        pub raised: u32,
+        raised: u32,
         #[serde(deserialize_with = "added::read_0x11")]
         beyond_s: f32,
     }
@@ -311,7 +335,7 @@ impl Level {
             own_command_w: 0.0,
             square: 0.0,
             product: 0.0,
-            raised: 0,
+            raised: ACCEPTED,
             beyond_s: 0.0,
             ..*self
         };
@@ -337,7 +361,9 @@ impl Level {
         let share = quick / (quick_spread.sqrt() * (QUICK * rules.limit));
         let slow_share = slow / (slow_spread.sqrt() * (SLOW * rules.limit));
         let slow_share = if self.slow_s >= SLOW_AGE_S { slow_share } else { 0.0 };
-        let (high, low) = (share.max(slow_share), (-share).max(-slow_share));
+        let (own_high, own_low) = (share.max(slow_share), (-share).max(-slow_share));
+        let among = self.among(rules);
+        let (high, low) = (own_high.max(among), own_low.max(-among));
         let settled = counted & (self.own_s >= SETTLE_S);
         let beyond = settled & (high.max(low) > 1.0);
         let beyond_s = (self.beyond_s + rules.period_s).min(HOLD_S + rules.period_s);
@@ -346,7 +372,7 @@ impl Level {
         self.decide(settled, high, low);
         let growth = if was_raised & !self.is_raised() { GROWTH } else { 1.0 };
         self.raised |= self.kind(rules, expected.ratio);
-        let careful = settled & (high.max(low) > CAREFUL_FROM);
+        let careful = settled & (own_high.max(own_low) > CAREFUL_FROM);
         let rate = if careful { CAREFUL } else { 1.0 };
         let learns = counted & !self.is_raised();
         let learned_s = if learns { rate * rules.period_s } else { 0.0 };
@@ -440,6 +466,22 @@ impl Level {
         [(mean_w - expected_w) * per_w, spread]
     }
 
+    /// Deviation of the robot's own level from that of other robots, as a share of the limit. 0 if
+    /// it is not judged.
+    #[inline(always)]
+    fn among(&self, rules: &LevelRules) -> f32 {
+        let raised = self.is_raised();
+        let power_w = if raised { self.slow_w } else { self.own_w };
+        let command_w = if raised { self.slow_command_w } else { self.own_command_w };
+        let expected_w = rules.among * command_w;
+        let scale_w = (0.5 * (power_w.max(0.0) + expected_w)).max(rules.floor_w);
+        let spread = rules.spread + rules.variances[1] * (MEANS_S[1] / self.own_s.max(AMONG_S));
+        let share = (power_w - expected_w) / (scale_w * spread.sqrt() * (AMONG * rules.limit));
+        let accepted = self.raised & ACCEPTED != 0;
+        let judged = (rules.among > 0.0) & (self.own_s >= AMONG_S) & !accepted;
+        if judged { share } else { 0.0 }
+    }
+
     /// Raises and clears: `high` and `low` are shares of the limit.
     #[inline(always)]
     fn decide(&mut self, settled: bool, high: f32, low: f32) {
@@ -449,7 +491,7 @@ impl Level {
             if (share > least) & (!is_new | (self.beyond_s >= HOLD_S)) { bit } else { 0 }
         };
         let raised = judged(high, HIGH) | judged(low, LOW);
-        let others = self.raised & KIND;
+        let others = self.raised & (KIND | ACCEPTED);
         self.raised = if settled { raised | others } else { self.raised };
     }
 
@@ -470,11 +512,16 @@ impl Level {
         if raised { KIND } else { 0 }
     }
 
-    /// Scatter of the robot's levels, in that of the energy model, if it is known.
-    pub(crate) fn scatter(&self, rules: &LevelRules) -> Option<f32> {
+    /// What the robot shows to its platform, as far as it is known: the scatter of its levels in
+    /// that of the energy model, and its own level in the power of its commands.
+    pub(crate) fn shown(&self, rules: &LevelRules) -> [Option<f32>; 2] {
         let ratio = |variance: f32, place: usize| (variance / rules.variances[place]).sqrt();
-        let known = (self.scatter_s >= SHOWS_S) & !self.is_raised();
-        known.then(|| 0.5 * (ratio(self.quick_variance, 0) + ratio(self.slow_variance, 1)))
+        let scatter = 0.5 * (ratio(self.quick_variance, 0) + ratio(self.slow_variance, 1));
+        let level = self.own_w.max(0.0) / self.own_command_w.max(f32::MIN_POSITIVE);
+        [
+            Some(scatter).filter(|_| (self.scatter_s >= SHOWS_S) & !self.is_raised()),
+            Some(level).filter(|level| (self.own_s >= AMONG_S) & level.is_finite()),
+        ]
     }
 
     /// The own level takes the quick mean with the weight of `learned_s`.
@@ -502,6 +549,12 @@ impl LevelLanes {
             block.set(lane, true, Level::new(&LevelRules::UNKNOWN));
         }
         block
+    }
+
+    /// The alarms of the robot in a lane.
+    #[inline(always)]
+    pub(crate) fn alarms(&self, lane: usize) -> AlarmSet {
+        AlarmSet(self.raised[lane] & !ACCEPTED)
     }
 
     /// The robot in a lane is compared with its level from now on.

@@ -68,16 +68,16 @@ impl SharedErrors {
         self.calibration.platform()
     }
 
-    /// Counts the errors of a robot, and what it has shown with them unless it is on its charger:
-    /// also the scatter of its levels, if it is known.
+    /// Counts the errors of a robot, and what it and its [`Level`](crate::alarms::level::Level)
+    /// have shown with them unless it is on its charger.
     pub(crate) fn count(
         &self,
-        (robot, scatter): (u32, Option<f32>),
+        (robot, of_levels): (u32, [Option<f32>; 2]),
         errors: &NewErrors,
         charging: bool,
     ) {
         if !charging {
-            self.show(robot, &errors.shown_with(scatter));
+            self.show(robot, &errors.shown_with(of_levels));
         }
         for (counts, class) in self.counts.classes.iter().zip(errors.classes) {
             if let Some(count) = class.and_then(|class| counts.get(usize::from(class))) {
@@ -109,11 +109,12 @@ impl SharedErrors {
         self.calibration.seen()
     }
 
-    /// Continues from remembered errors. Returns whether errors could have led to them.
+    /// Continues from remembered errors of an earlier run. Returns whether errors could have led to
+    /// them.
     pub(crate) fn remember(&mut self, seen: &ErrorCounts<f32>) -> bool {
         let is_sound = are_sound(seen);
         if is_sound {
-            self.calibration.restore(seen);
+            self.calibration.restore(&seen.without_levels());
         }
         is_sound
     }

@@ -173,7 +173,7 @@ impl EnergyLanes {
         self.metered.get(lane).time_s[LEVELS - 1] >= SETTLED_S
     }
 
-    /// Takes the samples of the robots in the mask, whose ids and known scatter `robot` gives.
+    /// Takes the samples of the robots in the mask, whose ids and known levels `robot` gives.
     /// Without shared errors they do not learn, and no shadow forecasts are made.
     #[inline(always)]
     pub(crate) fn observe(
@@ -182,7 +182,7 @@ impl EnergyLanes {
         errors: Option<&SharedErrors>,
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
-        robot: impl Fn(usize) -> (u32, Option<f32>),
+        robot: impl Fn(usize) -> (u32, [Option<f32>; 2]),
     ) {
         let (command, learns) = (model.command, errors.is_some());
         let mut ended = [false; LANES];
@@ -205,7 +205,7 @@ impl EnergyLanes {
         errors: &SharedErrors,
         ended: &Lanes<bool>,
         samples: &EnergySamples<'_>,
-        robot: impl Fn(usize) -> (u32, Option<f32>),
+        robot: impl Fn(usize) -> (u32, [Option<f32>; 2]),
     ) {
         for lane in (0..LANES).filter(|lane| ended[*lane]) {
             let mut state = self.get(lane);

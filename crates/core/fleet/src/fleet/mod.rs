@@ -11,8 +11,8 @@ use joulebus_energy::{EnergyModel, EnergyState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{
-    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, Outlook, PlanState, Refusal,
-    combine_hashes,
+    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, Outlook, PlanState, PlatformMemory,
+    Refusal, combine_hashes, platform_flag,
 };
 
 use crate::estimate::online::Learned;
@@ -34,6 +34,7 @@ use crate::tick::score::Score;
 use crate::tick::shard::{Outputs, Shard};
 use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
+use crate::tick::write::flag::flag;
 use crate::tick::write::forecasts::Forecasts;
 use crate::tick::write::learned::LearnedLanes;
 use crate::tick::write::outlooks::Outlooks;
@@ -219,6 +220,30 @@ impl Fleet {
             *hash = context.model.hash();
         }
         hashes
+    }
+
+    /// What the robots of each platform have shown together. 0 beyond the last platform.
+    pub fn platform_memories(&self) -> [PlatformMemory; LISTED_MODELS] {
+        let mut memories = [PlatformMemory::default(); LISTED_MODELS];
+        for (told, context) in memories.iter_mut().zip(&self.tick.platforms) {
+            let (energy, memory) = (&context.energy, &context.errors.platform().memory);
+            let trained = energy.calibrated > 0;
+            let commands = trained & energy.command.reads_commands();
+            *told = PlatformMemory {
+                flags: flag(trained, platform_flag::TRAINED)
+                    | flag(commands, platform_flag::COMMANDS)
+                    | flag(memory.starts_from_last(), platform_flag::FROM_LAST),
+                robots: memory.robots,
+                drawn: memory.drawn,
+                power: memory.power,
+                command_trust: memory.command_trust,
+                start_excess: memory.start_excess,
+                scatter: memory.scatter,
+                level: memory.level,
+                spread: memory.spread,
+            };
+        }
+        memories
     }
 
     /// Hash of the settings.

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, PARTS, SHADOWS, SHOWN};
+use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, PARTS, SHADOWS};
 use serde::{Deserialize, Deserializer};
 
 use crate::layout::lanes::Lanes;
@@ -21,7 +21,7 @@ const READ_0X10: u8 = 0x10;
 /// detectors have no cumulative sums.
 const READ_0X11: u8 = 0x11;
 
-/// The version that gained those of [`read_0x12`].
+/// The version that gained those of [`read_0x12`], and whose groups have levels.
 const READ_0X12: u8 = 0x12;
 
 /// Decodes a state of an older version.
@@ -76,11 +76,11 @@ pub(crate) fn skip_cusum<'de, D: Deserializer<'de>>(from: D) -> Result<(), D::Er
     Ok(())
 }
 
-/// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown, and those
-/// before 0x11 the scatter of their levels.
+/// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown, those
+/// before 0x11 the scatter of their levels, and those before 0x12 these levels.
 pub(crate) fn read_errors<'de, T, D>(from: D) -> Result<ErrorCounts<T>, D::Error>
 where
-    T: Deserialize<'de> + Default,
+    T: Deserialize<'de> + Default + Copy,
     D: Deserializer<'de>,
 {
     #[derive(Deserialize)]
@@ -88,16 +88,23 @@ where
         classes: [[T; CLASSES]; ERRORS],
         pulls: [[T; PARTS]; SHADOWS],
     }
-    if VERSION.get() < READ_0X10 {
-        let Before { classes, pulls } = Before::deserialize(from)?;
-        Ok(ErrorCounts { classes, pulls, groups: Default::default() })
-    } else if VERSION.get() < READ_0X11 {
+    fn before<'de, T, D, const N: usize>(from: D) -> Result<ErrorCounts<T>, D::Error>
+    where
+        T: Default + Copy,
+        D: Deserializer<'de>,
+        (Before<T>, [[[T; 2]; N]; GROUPS]): Deserialize<'de>,
+    {
         let (Before { classes, pulls }, shown) =
-            <(Before<T>, [[[T; 2]; SHOWN - 1]; GROUPS])>::deserialize(from)?;
-        let with_scatter =
-            |[power, start, trust]: [[T; 2]; SHOWN - 1]| [power, start, trust, Default::default()];
-        Ok(ErrorCounts { classes, pulls, groups: shown.map(with_scatter) })
-    } else {
-        ErrorCounts::deserialize(from)
+            <(Before<T>, [[[T; 2]; N]; GROUPS])>::deserialize(from)?;
+        let all = |had: [[T; 2]; N]| {
+            std::array::from_fn(|quantity| had.get(quantity).copied().unwrap_or_default())
+        };
+        Ok(ErrorCounts { classes, pulls, groups: shown.map(all) })
+    }
+    match VERSION.get() {
+        ..READ_0X10 => before::<_, _, 0>(from),
+        READ_0X10 => before::<_, _, 3>(from),
+        READ_0X11 => before::<_, _, 4>(from),
+        READ_0X12.. => ErrorCounts::deserialize(from),
     }
 }

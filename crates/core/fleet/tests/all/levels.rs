@@ -85,6 +85,66 @@ fn a_new_normal_of_a_robot_that_is_not_judged_changes_nothing() {
     assert!(state(&bench.fleet) == before, "a robot that is not in the fleet");
 }
 
+/// Runs twenty robots from the id `first` on for 45 s, of which one draws `factor` times what the
+/// others draw, from its first sample on. Returns the alarms of that robot, with their times, s, and
+/// the number of those of the others.
+fn among_others(first: u32, factor: f32, accepted: bool) -> (Vec<(Alarm, f64)>, usize) {
+    let mut settings = world::settings(20);
+    settings.alarms.settle_samples = 10_000;
+    settings.platforms[2].energy_online = true;
+    settings.alarms.level_limit = 8.0;
+    let mut fleet = Fleet::new(settings, world::models()).unwrap();
+    let (mut source, odd) = (Source::new(1, 1), first + 5);
+    let mut raised = std::collections::BTreeMap::new();
+    for step in 0..45_000 * MS / PERIOD_NS {
+        let now_ns = 60_000 * MS + step * PERIOD_NS;
+        let frame: Vec<Sample> = (first..first + 20)
+            .map(|robot| {
+                let own = 1.0 + 0.01 * (robot * 7 % 11) as f32;
+                let power_w = if robot == odd { factor * 3.6 } else { 3.6 * own };
+                let ripple_w = 0.05 * ((step + u64::from(robot)) as f32 * 0.31).sin();
+                let sample = Sample::new(robot, step, now_ns).command(0.1, 0.5);
+                sample.reading(power_w + ripple_w, now_ns)
+            })
+            .collect();
+        source.tick(&mut fleet, &frame, now_ns);
+        for robot in first..first + 20 {
+            let alarms = AlarmSet(world::diagnostic(&fleet, robot).alarms);
+            for alarm in alarms.iter().filter(|alarm| alarm.is_of_level()) {
+                let at_s = (step * PERIOD_NS) as f64 * 1e-9;
+                raised.entry((robot, alarm)).or_insert(at_s);
+                if accepted {
+                    fleet.take_statement(robot, Statement::NewNormal, 0);
+                }
+            }
+        }
+    }
+    assert_eq!(fleet.drops().total(), 0);
+    let accepted_ends = !accepted
+        || AlarmSet(world::diagnostic(&fleet, odd).alarms).iter().all(|alarm| !alarm.is_of_level());
+    assert!(accepted_ends, "a new normal is compared with others no longer");
+    let (of_odd, others): (Vec<_>, Vec<_>) =
+        raised.into_iter().partition(|((robot, _), _)| *robot == odd);
+    (of_odd.into_iter().map(|((_, alarm), at_s)| (alarm, at_s)).collect(), others.len())
+}
+
+#[test]
+fn a_load_from_the_first_sample_on_is_found_beside_the_levels_of_other_robots() {
+    for first in [0, 200] {
+        for accepted in [false, true] {
+            for (factor, expected) in
+                [(1.0, None), (2.0, Some(Alarm::LevelHigh)), (0.4, Some(Alarm::LevelLow))]
+            {
+                let (found, others) = among_others(first, factor, accepted);
+                let soon = found.iter().all(|(_, at_s)| *at_s <= 30.0);
+                let alarms: Vec<Alarm> = found.iter().map(|(alarm, _)| *alarm).collect();
+                assert!(soon && others == 0, "{first}, {factor}: {found:?}, {others} others");
+                assert_eq!(alarms, Vec::from_iter(expected), "{first}, {factor}");
+            }
+        }
+    }
+}
+
 /// Alarms of a robot of a platform with a persistence model, at a power for 60 s and at a multiple
 /// of it for 30 s. `command`: its velocities.
 fn untrained(command: Option<(f32, f32)>, factor: f32) -> [Vec<Alarm>; 2] {

@@ -77,7 +77,7 @@ pub(crate) fn step_block(
     let energy = &mut columns.energy[block];
     let levels = &columns.levels[block];
     observe_energy(context, energy, &samples, mask, &elapsed_s, |lane| {
-        (admissions[lane].id, levels.get(lane).scatter(&context.levels))
+        (admissions[lane].id, levels.get(lane).shown(&context.levels))
     });
     // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
@@ -138,7 +138,7 @@ fn observe_energy(
     samples: &PendingLanes,
     mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
-    robot: impl Fn(usize) -> (u32, Option<f32>),
+    robot: impl Fn(usize) -> (u32, [Option<f32>; 2]),
 ) {
     let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
     let (mut working_s, mut charging) = (*elapsed_s, [false; LANES]);

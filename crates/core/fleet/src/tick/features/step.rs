@@ -74,8 +74,8 @@ pub(crate) fn step(
     energy.metered.advance(&context.energy.command, &sample);
     if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
         let new = energy.compare(&context.energy, errors.platform(), sample.power_w);
-        let scatter = columns.levels[block].get(lane).scatter(&context.levels);
-        errors.count((admission.id, scatter), &new, pending.has(sample_flag::CHARGING));
+        let of_levels = columns.levels[block].get(lane).shown(&context.levels);
+        errors.count((admission.id, of_levels), &new, pending.has(sample_flag::CHARGING));
     }
     columns.energy[block].set(lane, true, energy);
     admission.accept(pending);

@@ -75,8 +75,8 @@ impl<'a, 'b> Diagnostics<'a, 'b> {
         let (scored, detectors) = (self.block.scores.count[lane], self.block.detectors);
         let context = &tick.platforms[usize::from(admission.platform)];
         let of_battery = battery_levels(tick, &self.block, lane);
-        let of_level = self.block.levels.map_or(0, |levels| levels.raised[lane]);
-        let raised = detectors.raised(lane).and(AlarmSet(of_battery | of_level));
+        let of_level = self.block.levels.map_or(AlarmSet(0), |levels| levels.alarms(lane));
+        let raised = detectors.raised(lane).and(AlarmSet(of_battery)).and(of_level);
         let alarms = if tick.is_stale(admission) { raised.with(Alarm::NoData) } else { raised };
         let (level, first) = most_important(alarms);
         let (learns, learned) = self.learned.get(lane);

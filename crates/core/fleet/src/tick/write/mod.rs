@@ -3,7 +3,7 @@
 
 pub(crate) mod budgets;
 pub(crate) mod diagnostics;
-mod flag;
+pub(crate) mod flag;
 pub(crate) mod forecasts;
 pub(crate) mod learned;
 pub(crate) mod outlooks;
