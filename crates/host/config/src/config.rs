@@ -276,6 +276,27 @@ impl Config {
         &self.warnings
     }
 
+    /// The effective value of a key as TOML: of the platform at an index where the key is a
+    /// platform's. `None` if it is not set.
+    #[must_use]
+    pub fn value(&self, path: &str, platform: usize) -> Option<&str> {
+        let (wanted, name) = path.rsplit_once('.')?;
+        let (mut section, mut platforms) = ("", 0);
+        for line in self.shown.lines() {
+            if line == "[[platform]]" {
+                (section, platforms) = ("platform", platforms + 1);
+            } else if let Some(head) = line.strip_prefix('[') {
+                section = head.trim_end_matches(']');
+            } else if section == wanted
+                && (platforms == 0 || platforms == platform + 1)
+                && let Some((_, value)) = line.split_once(" = ").filter(|(key, _)| *key == name)
+            {
+                return value.rsplit_once(" # ").map(|(value, _)| value);
+            }
+        }
+        None
+    }
+
     /// The whole config as one file: defaults, platforms and paths resolved, each value with its
     /// origin. Reading it gives the same config.
     pub fn to_toml(&self) -> &str {

@@ -202,6 +202,27 @@ const REPLACED: &[(&str, &str)] = &[
     ),
 ];
 
+/// Words of keys that joulebus does not have, and what it asks for instead.
+const NEVER: &[(&[&str], &str)] = &[
+    (
+        &["mass", "weight", "payload", "wheel", "wheels", "friction", "inertia", "motor", "kg"],
+        "joulebus asks for no mechanics: it learns them from power readings. Of a data sheet it takes `power_min_w`, `power_max_w`, `v_max_mps`, `omega_max_radps` and `battery.capacity_wh`. `joulebus config init --power LOW-HIGH` writes them",
+    ),
+    (
+        &["ah", "mah", "volt", "volts"],
+        "A battery is stated by its energy, `battery.capacity_wh`: Ah times the nominal voltage",
+    ),
+];
+
+/// Words of other vocabularies, as joulebus's keys have them.
+const WORDS: &[(&str, &str)] =
+    &[("period", "rate"), ("speed", "v"), ("velocity", "v"), ("turn", "omega"), ("yaw", "omega")];
+
+/// A word of a key, as joulebus's keys have it.
+fn own_word(word: &str) -> &str {
+    WORDS.iter().find(|(other, _)| *other == word).map_or(word, |(_, own)| own)
+}
+
 /// The replacement of a key.
 fn replaced_key(path: &str) -> Option<&'static str> {
     let (_, by) = REPLACED.iter().find(|(old, _)| *old == path)?;
@@ -218,8 +239,16 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
     if let Some(by) = replaced_key(path) {
         return by.to_owned();
     }
-    // A period is called a rate here, and converted.
-    let path = &path.replace("period", "rate");
+    let name = path.rsplit('.').next().unwrap_or(path).to_lowercase();
+    let has = |words: &[&str]| name.split('_').any(|word| words.contains(&word));
+    if let Some((_, instead)) = NEVER.iter().find(|(words, _)| has(words)) {
+        return (*instead).to_owned();
+    }
+    let words = path.split_inclusive(['.', '_']).map(|word| {
+        let plain = word.trim_end_matches(['.', '_']);
+        format!("{}{}", own_word(plain), &word[plain.len()..])
+    });
+    let path = &words.collect::<String>();
     let Some((nearest, key)) = nearest(file, path) else {
         return "There is no similar key: remove it, or see `config explain`".to_owned();
     };

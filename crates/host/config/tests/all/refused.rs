@@ -163,6 +163,10 @@ fn typos_are_refused_with_the_nearest_key() {
         every_s = | every = | ledger.every | `ledger.every_s` | default 1
         hold_max_s = | max_hold_s = | platform.max_hold_s | `platform.hold_max_s`
         reserve = | resreve = | platform.battery.resreve | `platform.battery.reserve`
+        v_max_mps = | mass_kg = | platform.mass_kg | no mechanics | `power_max_w` | config init --power
+        v_max_mps = | max_speed_mps = | platform.max_speed_mps | `platform.v_max_mps`
+        omega_max_radps = | max_turn_degps = | platform.max_turn_degps | `platform.omega_max_radps`
+        reserve = | capacity_ah = | platform.battery.capacity_ah | `battery.capacity_wh` | nominal voltage
         [interval] | [intervall] | intervall | not a known section | `interval`
         cusum_limit = | Cusum_limit = | alarms.Cusum_limit | `alarms.cusum_limit`
         every_s = | zzzzzzzz = | ledger.zzzzzzzz | config explain
