@@ -1,9 +1,9 @@
 //! The worker and its loop.
 
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use std::sync::mpsc::Receiver;
+use std::sync::{Arc, Mutex};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
@@ -12,7 +12,7 @@ use joulebus_bus::{
     clock, process_id, schedule_process, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
-use joulebus_fleet::{Fleet, Next, Schedule, TickIntake};
+use joulebus_fleet::{Fleet, Next, RefusalLog, Schedule, TickIntake};
 use joulebus_settings::{Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement};
 
@@ -74,6 +74,8 @@ pub struct Worker {
     standby: Option<Standby>,
     /// What persons state of robots.
     statements: Option<Receiver<(u32, Statement)>>,
+    /// Refusals, for another thread.
+    refusals: Option<Arc<Mutex<RefusalLog>>>,
     /// Threads of others whose end ends the run.
     needed: Vec<ThreadWatch>,
 }
@@ -290,6 +292,7 @@ impl Worker {
             current_permit,
             standby: None,
             statements: None,
+            refusals: None,
             needed: Vec::new(),
         })
     }
@@ -433,6 +436,11 @@ impl Worker {
     /// bound is how many wait for a tick at most.
     pub fn take_statements_from(&mut self, statements: Receiver<(u32, Statement)>) {
         self.statements = Some(statements);
+    }
+
+    /// Copies the refusals there after each tick, unless another thread has the lock at that moment.
+    pub fn tell_refusals_to(&mut self, refusals: Arc<Mutex<RefusalLog>>) {
+        self.refusals = Some(refusals);
     }
 
     /// Ticks until `stop` is set, which is noticed within 100 ms, or at once when a signal sets it.
@@ -620,6 +628,11 @@ impl Worker {
         self.journal.send(place, start_ns, (missed, left_out), &self.failures.unsent);
         self.keyframes.offer(&self.fleet, place);
         self.errors.send(&self.fleet);
+        if let Some(refusals) = &self.refusals
+            && let Ok(mut refusals) = refusals.try_lock()
+        {
+            refusals.follow(self.fleet.refusal_log());
+        }
         let end_ns = clock::monotonic_ns();
         let frames = intake.frames > 0;
         self.missed = self.schedule.ticked(due_ns, start_ns, end_ns, frames);

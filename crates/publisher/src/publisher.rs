@@ -5,9 +5,10 @@ use std::path::Path;
 
 use joulebus_bus::{Bus, SampleWriter, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
-use joulebus_config::settings::{FleetSettings, RefusedSample};
+use joulebus_config::settings::RefusedSample;
+use joulebus_connect::refusals::{Refusals, Refused};
 use joulebus_connect::{ConnectError, join};
-use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a, sample_flag};
+use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader, fnv1a, sample_flag};
 
 use crate::RobotState;
 use crate::state::Registry;
@@ -29,13 +30,16 @@ use crate::watch::Watch;
 /// if let Some(refused) = &sent.first_refused {
 ///     println!("{} samples are refused: {refused}", sent.refused);
 /// }
+/// if let Some(not_taken) = &sent.not_taken {
+///     println!("{not_taken}"); // for example another source has the robots
+/// }
 /// # Ok(())
 /// # }
 /// ```
 pub struct Publisher {
     writer: SampleWriter,
     registry: Registry,
-    settings: FleetSettings,
+    config: Config,
     // Reused allocation.
     samples: Vec<Sample>,
     header: SampleHeader,
@@ -68,6 +72,42 @@ pub struct Sent {
     pub refused: usize,
     /// The first of them, with the reason.
     pub first_refused: Option<RefusedSample>,
+    /// Samples of this run that the worker has refused, if it still does. Of a publisher that
+    /// judges, some two seconds old. [`Publisher::refusals`] has all reasons.
+    pub not_taken: Option<NotTaken>,
+}
+
+/// Samples of a source that its worker refuses, for the most frequent reason.
+///
+/// [`Publisher`] has an example.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct NotTaken {
+    /// The reason. [`DropReason::remedy`] states the remedy.
+    pub reason: DropReason,
+    /// How many.
+    pub count: u64,
+    /// The robot of the last one.
+    pub robot: u32,
+}
+
+impl NotTaken {
+    /// `None` if no sample is refused any more.
+    pub(crate) fn of(source: &[Refused]) -> Option<Self> {
+        let first = source.iter().find(|refused| refused.is_recent())?;
+        Some(Self { reason: first.reason, count: first.count, robot: first.robot })
+    }
+}
+
+impl fmt::Display for NotTaken {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (count, name, robot) = (self.count, self.reason.name(), self.robot);
+        let remedy = self.reason.remedy();
+        write!(
+            out,
+            "the worker has refused {count} samples ({name}), the last of robot {robot}: {remedy}"
+        )
+    }
 }
 
 impl Publisher {
@@ -91,7 +131,8 @@ impl Publisher {
     pub fn with_config(config: &Config, source_name: &str) -> Result<Self, ConnectError> {
         let mut publisher = Self::without_judgement(config, source_name)?;
         // Without a thread nothing is judged, and everything is published.
-        publisher.watch = Watch::start(config, source_name).ok();
+        let run = (publisher.source_id(), publisher.source_epoch());
+        publisher.watch = Watch::start(config, source_name, run).ok();
         Ok(publisher)
     }
 
@@ -114,7 +155,7 @@ impl Publisher {
         Ok(Self {
             writer,
             registry: Registry::new(limits.capacity),
-            settings: config.settings().clone(),
+            config: config.clone(),
             samples: Vec::new(),
             header,
             attempts: 0,
@@ -219,7 +260,8 @@ impl Publisher {
         let sent = self.writer.send(header, samples.len(), |i| samples[i])?;
         self.frames_sent += 1;
         self.samples_sent += samples.len() as u64;
-        let mut refusals = samples.iter().filter_map(|sample| self.settings.refusal(sample));
+        let mut refusals =
+            samples.iter().filter_map(|sample| self.config.settings().refusal(sample));
         let first_refused = refusals.next();
         let refused = refusals.count() + usize::from(first_refused.is_some());
         Ok(Sent {
@@ -229,7 +271,16 @@ impl Publisher {
             not_woken: sent.not_woken,
             refused,
             first_refused,
+            not_taken: self.watch.as_ref().and_then(Watch::not_taken),
         })
+    }
+
+    /// The samples of this run that the worker has refused, by reason, the most frequent first. Reads
+    /// a file of the fleet's directory, which the worker's process writes twice a second. Empty
+    /// without a worker on this host.
+    #[must_use]
+    pub fn refusals(&self) -> Vec<Refused> {
+        Refusals::of_source(&self.config, (self.source_id(), self.source_epoch()))
     }
 
     /// Frames sent in this run.

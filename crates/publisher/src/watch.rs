@@ -1,4 +1,4 @@
-//! Judges what a publisher publishes, on a thread of its own.
+//! Judges what a publisher publishes, and learns what the worker refuses, on a thread of its own.
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -8,13 +8,14 @@ use std::{io, mem, process, thread};
 
 use joulebus_config::Config;
 use joulebus_connect::findings::FindingsFile;
+use joulebus_connect::refusals::Refusals;
 use joulebus_plausibility::{Kind, Source};
 
-use crate::{Charger, Judgement, RobotState};
+use crate::{Charger, Judgement, NotTaken, RobotState};
 
 /// Interval of judging the states that were published meanwhile.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
-/// Interval of writing what is implausible.
+/// Interval of writing what is implausible, and of reading what is refused.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
 /// Robots that are judged at the same time: 11 MB. Others follow when these are found plausible.
 const MAX_JUDGED: usize = 1024;
@@ -30,6 +31,7 @@ pub(crate) struct Watch {
     waiting: Vec<Published>,
     /// The robots that are implausible, as far as the thread has told. Rising.
     doubted: Vec<u32>,
+    not_taken: Option<NotTaken>,
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
     /// The process that has the thread.
@@ -41,25 +43,30 @@ struct Shared {
     handed_over: Mutex<Vec<Published>>,
     /// Robots that are implausible, if that is news.
     doubted: Mutex<Option<Vec<u32>>>,
+    not_taken: Mutex<Option<NotTaken>>,
     is_stopped: AtomicBool,
 }
 
 impl Watch {
-    /// Starts to judge a source of the fleet of `config`.
-    pub(crate) fn start(config: &Config, source: &str) -> io::Result<Self> {
+    /// Starts to judge a source of the fleet of `config`. `run`: its id and its run.
+    pub(crate) fn start(config: &Config, source: &str, run: (u64, u64)) -> io::Result<Self> {
         let room = || Vec::with_capacity(config.limits().capacity.max(MIN_WAITING));
         let shared = Arc::new(Shared {
             handed_over: Mutex::new(room()),
             doubted: Mutex::new(None),
+            not_taken: Mutex::new(None),
             is_stopped: AtomicBool::new(false),
         });
         let (own, taken) = (Arc::clone(&shared), room());
         let findings = FindingsFile::new(config, source);
+        let config = config.clone();
+        let refused = move || NotTaken::of(&Refusals::of_source(&config, run));
         let thread = thread::Builder::new()
             .name("joulebus-judge".to_owned())
-            .spawn(move || judge(&own, taken, findings))?;
+            .spawn(move || judge(&own, taken, findings, refused))?;
         let (waiting, doubted) = (room(), Vec::new());
-        Ok(Self { waiting, doubted, shared, thread: Some(thread), pid: process::id() })
+        let (thread, pid) = (Some(thread), process::id());
+        Ok(Self { waiting, doubted, not_taken: None, shared, thread, pid })
     }
 
     /// Adds a state that is published at `now_ns`, if it has a new reading and there is room.
@@ -75,12 +82,20 @@ impl Watch {
         self.doubted.binary_search(&robot).is_ok()
     }
 
+    /// What the worker refuses, as far as the thread has told.
+    pub(crate) const fn not_taken(&self) -> Option<NotTaken> {
+        self.not_taken
+    }
+
     /// Hands the states over, if the thread has judged those before, and takes its findings.
     pub(crate) fn hand_over(&mut self) {
         if let Ok(mut news) = self.shared.doubted.try_lock()
             && let Some(doubted) = news.take()
         {
             self.doubted = doubted;
+        }
+        if let Ok(not_taken) = self.shared.not_taken.try_lock() {
+            self.not_taken = *not_taken;
         }
         // The thread has the lock for a moment: then the next frame does it.
         if let Ok(mut handed_over) = self.shared.handed_over.try_lock()
@@ -109,7 +124,12 @@ impl Drop for Watch {
 }
 
 /// Judges until the publisher ends, and removes the findings then.
-fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile) {
+fn judge(
+    shared: &Shared,
+    mut taken: Vec<Published>,
+    mut findings: FindingsFile,
+    refused: impl Fn() -> Option<NotTaken>,
+) {
     // A simulated robot may never change its reading.
     let judgement = Judgement::new(Source::Program, vec![Kind::Constant]);
     let mut judgement = judgement.of_at_most(MAX_JUDGED);
@@ -147,6 +167,10 @@ fn judge(shared: &Shared, mut taken: Vec<Published>, mut findings: FindingsFile)
             }
             // The next call tries again.
             let _ = findings.write(errors);
+            let not_taken = refused();
+            if let Ok(mut told) = shared.not_taken.lock() {
+                *told = not_taken;
+            }
         }
     }
 }

@@ -19,6 +19,8 @@ pub const STANDBY_FILES: [&str; 3] = ["permit", "keyframe", "replica"];
 /// Name in the fleet's directory of the file with the times at which alarms were raised, which its
 /// worker's process writes. The last member removes it, and a draft of it.
 pub const RAISES_FILE: &str = "raises";
+/// Name of the file with the samples that a worker refuses, in the fleet's directory.
+pub const REFUSALS_FILE: &str = "refusals";
 const MAX_FLEET_BYTES: usize = 32;
 const MAX_PREFIX_BYTES: usize = 8;
 

@@ -5,6 +5,8 @@ mod domain;
 mod limits;
 mod scheduling;
 
-pub use domain::{Domain, DomainError, FLEET_MARKER, RAISES_FILE, SHM_DIR, STANDBY_FILES};
+pub use domain::{
+    Domain, DomainError, FLEET_MARKER, RAISES_FILE, REFUSALS_FILE, SHM_DIR, STANDBY_FILES,
+};
 pub use limits::{ACTIVE_QUERIES, Limits, LimitsError, Shape};
 pub use scheduling::Scheduling;

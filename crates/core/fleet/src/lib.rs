@@ -15,6 +15,7 @@ pub use estimate::scores::Scores;
 pub use fleet::Fleet;
 pub use fleet::online_forecasts::{IntervalForecast, OnlineForecasts, OnlineSettings};
 pub use ingest::frame::{FrameIntake, TickIntake};
+pub use ingest::refused::{RefusalLog, RefusedSamples};
 pub use joulebus_energy::ErrorCounts;
 pub use ledger::battery::{SavedBattery, SavedLessons, SavedPause};
 pub use ledger::energy::Ledger;

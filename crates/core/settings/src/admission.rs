@@ -122,24 +122,29 @@ impl FleetSettings {
     }
 }
 
-impl fmt::Display for RefusedSample {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (robot, reason) = (self.robot, self.reason.name());
-        write!(out, "the worker refuses the sample of robot {robot} ({reason}): ")?;
+impl RefusedSample {
+    /// The value, and what is allowed, in words.
+    #[must_use]
+    pub fn found(&self) -> String {
         match (&self.value, self.reason) {
             (Some((name, found, _)), DropReason::NotFinite) => {
-                write!(out, "{name} is {found}. Leave out what is unknown")
+                format!("{name} is {found}. Leave out what is unknown")
             }
             (Some((name, found, allowed)), _) => {
                 let (lo, hi) = (allowed.start(), allowed.end());
-                write!(out, "{name} is {found}, allowed are {lo} to {hi}")
+                format!("{name} is {found}, allowed are {lo} to {hi}")
             }
-            (None, DropReason::UnknownRobot) => {
-                write!(out, "no platform of the config has it: see platform.robots")
-            }
-            (None, DropReason::BadTime) => write!(out, "it was measured after its stamp"),
-            (None, _) => write!(out, "flags that contradict each other"),
+            (None, DropReason::UnknownRobot) => DropReason::UnknownRobot.remedy().to_owned(),
+            (None, DropReason::BadTime) => "it was measured after its stamp".to_owned(),
+            (None, _) => "flags that contradict each other".to_owned(),
         }
+    }
+}
+
+impl fmt::Display for RefusedSample {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (robot, reason, found) = (self.robot, self.reason.name(), self.found());
+        write!(out, "the worker refuses the sample of robot {robot} ({reason}): {found}")
     }
 }
 

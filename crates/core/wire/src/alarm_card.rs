@@ -117,8 +117,8 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
         level: Level::Error,
         meaning: "The robot's last samples were refused: a value lies outside the platform's \
              limits, or is not a number.",
-        check: "The unit and sign that the source sends, then the limits of the platform. The worker's \
-             log names the field, the value and the allowed range.",
+        check: "The unit and sign that the source sends, then the limits of the platform. `joulebus watch` \
+             and the page name the field, the value and the allowed range.",
         keys: &[
             "platform.power_min_w",
             "platform.power_max_w",

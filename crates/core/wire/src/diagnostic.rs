@@ -295,6 +295,16 @@ impl AlarmSet {
         worst.next().unwrap_or(Alarm::None)
     }
 
+    /// The alarm to name where there is room for one: the most important one, but a cause before its
+    /// consequence. Of a robot whose samples are refused, `OutOfRange` and not `NoData`.
+    #[must_use]
+    pub fn cause(self) -> Alarm {
+        match self.first() {
+            Alarm::NoData if self.has(Alarm::OutOfRange) => Alarm::OutOfRange,
+            first => first,
+        }
+    }
+
     /// The worst level of the set.
     #[must_use]
     pub fn level(self) -> Level {

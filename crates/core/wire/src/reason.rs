@@ -52,6 +52,45 @@ names! {
         TooManySources BatteryOutOfRange
 }
 
+impl DropReason {
+    /// What the source can do about it.
+    #[must_use]
+    pub const fn remedy(self) -> &'static str {
+        match self {
+            Self::UnknownRobot => "no platform of the config has it: see platform.robots",
+            Self::OverCapacity => "the fleet is full: raise fleet.capacity for all its processes",
+            Self::ForeignSource => {
+                "another source publishes for this robot: end one of the two. Robots of a source \
+                 that has ended are free at once"
+            }
+            Self::OldEpoch => {
+                "a newer process with this source's name has taken over: end one of the two, or \
+                 give each a name of its own"
+            }
+            Self::Duplicate | Self::OutOfOrder => {
+                "the numbers of a robot's samples must rise: let one publisher number them"
+            }
+            Self::BadTime => "stamps must rise, by at most intake.max_jump_s",
+            Self::NotFinite => "leave out what is unknown",
+            Self::PowerOutOfRange => {
+                "see unit and sign, then platform.power_min_w and platform.power_max_w"
+            }
+            Self::CommandOutOfRange => {
+                "see the units, then platform.v_max_mps and platform.omega_max_radps"
+            }
+            Self::BadFlags => "set only known flags that agree with each other",
+            Self::Backlog => "publish less often, or raise intake.max_samples_per_tick",
+            Self::Overflow => {
+                "the worker was late: raise intake.buffer_frames, see joulebus doctor"
+            }
+            Self::Schema => "use one release of joulebus for all processes of the fleet",
+            Self::BeforeJoin => "they were sent before the worker knew this source",
+            Self::TooManySources => "end a source, or raise intake.max_sources",
+            Self::BatteryOutOfRange => "a state of charge is 0 to 1, not percent",
+        }
+    }
+}
+
 rows! {
     /// Refusals of one robot for one reason, as reported to operators. 16 bytes.
     #[derive(Eq)]

@@ -3,6 +3,7 @@
 
 pub mod findings;
 pub mod raises;
+pub mod refusals;
 
 use joulebus_bus::{Bus, JoinError, OpenError};
 use joulebus_config::{Config, ConfigError};

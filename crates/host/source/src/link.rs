@@ -9,6 +9,9 @@ use joulebus_wire::Sample;
 
 use crate::report::PublishReport;
 
+/// Interval of asking what the worker refuses, ns.
+const LOOK_EVERY_NS: u64 = 1_000_000_000;
+
 /// Interval of checks for a worker, ns.
 const POLL_INTERVAL_NS: u64 = 100_000_000;
 
@@ -17,6 +20,7 @@ const POLL_INTERVAL_NS: u64 = 100_000_000;
 pub struct Link {
     publisher: Publisher,
     domain: Domain,
+    look_ns: u64,
 }
 
 /// Result of sending a frame.
@@ -39,6 +43,7 @@ impl Link {
         Ok(Self {
             publisher: Publisher::without_judgement(config, name)?,
             domain: config.domain()?,
+            look_ns: 0,
         })
     }
 
@@ -68,6 +73,7 @@ impl Link {
         frame: &[Sample],
         report: &mut PublishReport,
     ) -> Result<Fate, PublishError> {
+        self.look(report);
         match self.publisher.publish_samples(intended_ns, frame) {
             Ok(sent) => {
                 report.frames_sent += 1;
@@ -87,6 +93,21 @@ impl Link {
                 Ok(Fate::Failed)
             }
             Err(error) => Err(error),
+        }
+    }
+
+    /// Logs each reason for which the worker refuses samples, once.
+    fn look(&mut self, report: &mut PublishReport) {
+        let now_ns = clock::monotonic_ns();
+        if now_ns < self.look_ns {
+            return;
+        }
+        self.look_ns = now_ns + LOOK_EVERY_NS;
+        for refused in self.publisher.refusals() {
+            let known = report.samples_refused.insert(refused.reason.name(), refused.count);
+            if known.is_none() {
+                log_line(&format!("warning: {refused}"));
+            }
         }
     }
 

@@ -1,5 +1,6 @@
 //! The report of a source.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::Serialize;
@@ -28,6 +29,8 @@ pub struct PublishReport {
     pub frames_failed: u64,
     /// Frames that a worker did not answer.
     pub frames_unanswered: u64,
+    /// Samples that the worker refused, by reason, as it told at most two seconds before the end.
+    pub samples_refused: BTreeMap<&'static str, u64>,
     /// Grid times skipped because the source stalled.
     pub ticks_skipped: u64,
     /// Time by which the playback was delayed, s.
@@ -77,6 +80,9 @@ impl fmt::Display for PublishReport {
             if count > 0 {
                 writeln!(out, "{count} {what}")?;
             }
+        }
+        for (reason, count) in &self.samples_refused {
+            writeln!(out, "{count} samples refused by the worker: {reason}")?;
         }
         if let Some(speed) = self.speed {
             writeln!(out, "played at {speed:.2} times the recorded speed")?;

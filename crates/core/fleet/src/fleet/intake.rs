@@ -58,7 +58,7 @@ impl Fleet {
                 for sample in samples {
                     match self.accept(header, sample, *now_ns) {
                         Ok(()) => self.accepted += 1,
-                        Err(reason) => self.refuse(header, sample, reason),
+                        Err(reason) => self.refuse((header, *now_ns), sample, reason),
                     }
                 }
                 self.oldest_ns.fetch_min(*now_ns, Ordering::Relaxed);
@@ -67,7 +67,7 @@ impl Fleet {
             Err(DropReason::Schema) => {}
             Err(reason) => {
                 for sample in samples {
-                    self.refuse(header, sample, *reason);
+                    self.refuse((header, *now_ns), sample, *reason);
                 }
             }
         }
@@ -165,10 +165,17 @@ impl Fleet {
         Ok(())
     }
 
-    fn refuse(&mut self, header: &SampleHeader, sample: &Sample, reason: DropReason) {
+    fn refuse(
+        &mut self,
+        (header, now_ns): (&SampleHeader, u64),
+        sample: &Sample,
+        reason: DropReason,
+    ) {
         self.drops.add(reason, 1);
         self.refused.note(sample.robot, reason, header.process());
-        let (Some(invalid), Some(slot)) = (check::invalid(reason), self.find(sample.robot)) else {
+        let invalid = check::invalid(reason);
+        self.refusal_log.note(header, sample, (reason, invalid.is_some()), now_ns);
+        let (Some(invalid), Some(slot)) = (invalid, self.find(sample.robot)) else {
             return;
         };
         // The robot will not send another sample in this tick: the others need not wait for it.

@@ -18,7 +18,7 @@ use joulebus_wire::{
 use crate::estimate::online::Learned;
 use crate::estimate::scores::Scores;
 use crate::ingest::frame::TickIntake;
-use crate::ingest::refused::Refused;
+use crate::ingest::refused::{RefusalLog, Refused};
 use crate::ingest::sources::Sources;
 use crate::layout::index::Index;
 use crate::layout::lanes::{self, LANES};
@@ -63,6 +63,7 @@ pub struct Fleet {
     batch: Batch,
     sources: Sources,
     refused: Refused,
+    refusal_log: RefusalLog,
     drops: DropCounts,
     accepted: u64,
     /// Robots that have reported in this tick.
@@ -99,6 +100,7 @@ impl Fleet {
             batch: Batch::default(),
             sources: Sources::new(settings),
             refused: Refused::default(),
+            refusal_log: RefusalLog::default(),
             drops: DropCounts::default(),
             accepted: 0,
             reported: 0,
@@ -204,6 +206,12 @@ impl Fleet {
     /// Recently refused robots, with the reason and the source.
     pub fn refusals(&self) -> [Refusal; 16] {
         self.refused.places()
+    }
+
+    /// The newest refusals by source, reason and robot. They begin with this value, and are no part
+    /// of the [state](crate::FleetState).
+    pub const fn refusal_log(&self) -> &RefusalLog {
+        &self.refusal_log
     }
 
     /// Hash of the model of all platforms. If they use different models, a combination of their

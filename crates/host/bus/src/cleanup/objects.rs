@@ -10,7 +10,7 @@ use super::claim::Claim;
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError, STANDBY_FILES};
-use joulebus_domain::RAISES_FILE;
+use joulebus_domain::{RAISES_FILE, REFUSALS_FILE};
 
 /// The directories that iceoryx2 creates in that of a fleet.
 pub(crate) const NODES: &str = "nodes";
@@ -137,7 +137,9 @@ pub(crate) fn is_of(domain: &Domain, path: &Path) -> bool {
 pub(crate) fn is_of_worker(path: &Path) -> bool {
     let name = path.file_name().and_then(|name| name.to_str());
     let name = name.map(|name| name.strip_suffix(".new").unwrap_or(name));
-    name.is_some_and(|name| STANDBY_FILES.contains(&name) || name == RAISES_FILE)
+    name.is_some_and(|name| {
+        STANDBY_FILES.contains(&name) || [RAISES_FILE, REFUSALS_FILE].contains(&name)
+    })
 }
 
 /// True if iceoryx2 uses such a name for a node's directory.
