@@ -402,8 +402,8 @@ def build(names):
         needed = [of for of in before if is_needed(of)] or list(filter(is_needed, blocks(DEPENDENCIES)))
         project = PROJECTS / block.project()
         (project / "src").mkdir(parents=True)
-        (project / "src/main.rs").write_text(block.text)
-        # The clone lies beside a reader's project.
+        # The clone lies beside a reader's project. Here programs run in it.
+        (project / "src/main.rs").write_text(block.text.replace("../joulebus/", ""))
         manifest = f'[package]\nname = "{block.project()}"\nedition = "2024"\n\n{needed[-1].text}'
         (project / "Cargo.toml").write_text(manifest.replace("../joulebus/", f"{ROOT}/"))
     # One workspace, with our profile and versions, so that existing builds are reused.

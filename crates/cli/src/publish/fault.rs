@@ -39,6 +39,15 @@ impl FromStr for FaultArgument {
     }
 }
 
+/// The fault in a plant whose power is multiplied by `scale` afterwards.
+pub(super) fn divided(fault: Fault, scale: f64) -> Fault {
+    match fault {
+        Fault::ExtraLoad { power_w } => Fault::ExtraLoad { power_w: power_w / scale },
+        Fault::Noise { std_w } => Fault::Noise { std_w: std_w / scale },
+        fault => fault,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

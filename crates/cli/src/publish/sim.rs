@@ -27,7 +27,8 @@ use joulebus_program::platform::platform;
     Faults: load:WATT (additional power), noise:WATT (standard deviation), stuck \
     (the monitor repeats its last value).\n\
     Robots drive the paper's six trials in turn, the first robot from trial 1 on, the second from trial 2 \
-    on. The same seed gives the same robots.")]
+    on. The same seed gives the same robots. Power and speed are a GTernal's, stretched to the \
+    platform's limits.")]
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
@@ -63,7 +64,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let config = args.config.load()?;
     let platform = args.platform(&config)?;
     let ids = args.ids(platform)?;
-    let plant = plant(args.seed, &ids, &args.faults)?;
+    let scale = Scale::new(platform);
+    let plant = plant(args.seed, &ids, &args.faults, scale.power)?;
     let name = match &args.name {
         Some(name) => name.clone(),
         None => format!("sim-{}", ids[0]),
@@ -73,6 +75,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut source = Source {
         link,
         plant,
+        scale,
         robots: ids.into_iter().map(Robot::new).collect(),
         frame: Vec::new(),
         report: PublishReport {
@@ -116,15 +119,50 @@ impl Args {
     }
 }
 
-/// The simulated robots of some ids, at least one.
-fn plant(seed: u64, ids: &[u32], faults: &[FaultArgument]) -> anyhow::Result<Plant> {
+/// From the simulated GTernal to a platform: 1 for the limits of configs/platforms/gternal.toml.
+#[derive(Clone, Copy)]
+struct Scale {
+    min_w: f32,
+    power: f32,
+    v: f32,
+    omega: f32,
+}
+
+impl Scale {
+    fn new(platform: &Platform) -> Self {
+        let min_w = platform.power_min_w.max(0.0);
+        Self {
+            min_w,
+            power: (platform.power_max_w - min_w) / 20.0,
+            v: platform.v_max_mps / 0.25,
+            omega: platform.omega_max_radps / 4.0,
+        }
+    }
+
+    /// Volts of a GTernal would tell another robot a wrong charge.
+    fn apply(self, sample: Sample, reading: &SimReading, measured_ns: u64) -> Sample {
+        let power_w = self.min_w + self.power * reading.power_w;
+        let sample = sample.reading(power_w, measured_ns);
+        let sample = match self.v > 0.0 || self.omega > 0.0 {
+            true => sample.command(self.v * reading.v_mps, self.omega * reading.omega_radps),
+            false => sample,
+        };
+        match self.power == 1.0 {
+            true => sample.battery(reading.voltage_v, reading.current_a),
+            false => sample,
+        }
+    }
+}
+
+/// The simulated robots of some ids, at least one. Their power is scaled afterwards.
+fn plant(seed: u64, ids: &[u32], faults: &[FaultArgument], scale: f32) -> anyhow::Result<Plant> {
     let mut plant = Plant::new(seed, ids.len());
     for FaultArgument { robot, fault, from_s } in faults {
         let place = ids.iter().position(|id| id == robot).ok_or_else(|| {
             let (first, last) = (ids[0], ids[ids.len() - 1]);
             UsageError(format!("--fault for robot {robot}, the robots are {first} to {last}"))
         })?;
-        plant = plant.with_fault(place, *fault, *from_s)?;
+        plant = plant.with_fault(place, fault::divided(*fault, f64::from(scale)), *from_s)?;
     }
     Ok(plant)
 }
@@ -142,11 +180,15 @@ impl Robot {
     }
 
     /// The sample of the robot at `stamp_ns`. The plant started at `base_ns`.
-    fn sample(&mut self, reading: &SimReading, stamp_ns: u64, base_ns: u64) -> Sample {
-        let sample = Sample::new(self.id, self.seq, stamp_ns)
-            .command(reading.v_mps, reading.omega_radps)
-            .reading(reading.power_w, base_ns.saturating_add(reading.measured_ns))
-            .battery(reading.voltage_v, reading.current_a);
+    fn sample(
+        &mut self,
+        reading: &SimReading,
+        scale: Scale,
+        stamp_ns: u64,
+        base_ns: u64,
+    ) -> Sample {
+        let sample = Sample::new(self.id, self.seq, stamp_ns);
+        let sample = scale.apply(sample, reading, base_ns.saturating_add(reading.measured_ns));
         // Not the plant's own flag: after skipped ticks the last reading *sent* counts.
         let held = self.measured_ns == Some(reading.measured_ns);
         self.measured_ns = Some(reading.measured_ns);
@@ -158,6 +200,7 @@ impl Robot {
 struct Source {
     link: Link,
     plant: Plant,
+    scale: Scale,
     robots: Vec<Robot>,
     frame: Vec<Sample>,
     report: PublishReport,
@@ -196,7 +239,9 @@ impl Source {
     fn send(&mut self, intended_ns: u64, stamp_ns: u64, base_ns: u64) -> Result<(), PublishError> {
         self.frame.clear();
         let robots = self.robots.iter_mut().zip(self.plant.advance(stamp_ns - base_ns));
-        self.frame.extend(robots.map(|(robot, reading)| robot.sample(reading, stamp_ns, base_ns)));
+        let scale = self.scale;
+        self.frame
+            .extend(robots.map(|(robot, reading)| robot.sample(reading, scale, stamp_ns, base_ns)));
         self.link.send(intended_ns, &self.frame, &mut self.report)?;
         Ok(())
     }

@@ -191,6 +191,63 @@ fn config_init_writes_a_fleet_that_passes_config_check_and_prints_what_is_next()
 }
 
 #[test]
+fn config_init_makes_a_fleet_of_a_data_sheet_that_simulated_robots_fit() {
+    let folder = tempfile::tempdir().unwrap();
+    let init = |more: &str| {
+        let out = folder.path().join("cart");
+        let mut words: Vec<String> =
+            format!("config init --out {} {more}", text(&out)).split(' ').map(str::to_owned).collect();
+        words.retain(|word| !word.is_empty());
+        words
+    };
+    let sheet = "--power 30-200 --speed 1.2 --battery-wh 480 --name cli --rate 30";
+    for (wrong, why) in [
+        ("", "--from"),
+        ("--power 200-30", "30-200"),
+        ("--power 30", "30-200"),
+        ("--power 30-200 --speed 0", "above 0"),
+        ("--power 30-200 --from .", "cannot be used with"),
+        ("--power 30-200 --train", "cannot be used with"),
+        ("--speed 1.2", "--power"),
+    ] {
+        let refused = output(init(wrong)).exits(2);
+        assert_contains(&stderr(&refused), [why]);
+    }
+    let report = json(&done(init(&format!("{sheet} --format json"))));
+    assert_eq!(report["recorded"]["trials"], 0);
+    let path = folder.path().join("cart/platforms/cli.toml");
+    let platform = fs::read_to_string(path).unwrap();
+    let parts = "model = \"persistence\" | rate_hz = 30.0 | power_min_w = 0.0 | power_max_w = 250.0 | \
+                 v_max_mps = 1.5 | omega_max_radps = 3.8 | capacity_wh = 480.0 | residual_std_w = 69.402 | \
+                 Assumed: a reading says nothing";
+    assert_contains(&platform, parts.split(" | "));
+    let fleet = Fleet::new();
+    let mut made = fs::read_to_string(folder.path().join("cart/fleet.toml")).unwrap();
+    for (from, to) in [
+        ("/dev/shm/joulebus-{uid}", fleet.root().to_str().unwrap()),
+        ("prefix = \"jb_\"", "prefix = \"jbcli_\""),
+        ("checkpoint = \"auto\"", "checkpoint = \"\""),
+    ] {
+        assert!(made.contains(from), "{made}");
+        made = made.replace(from, to);
+    }
+    fs::rename(folder.path().join("cart/platforms"), fleet.path("platforms")).unwrap();
+    fs::write(fleet.config(), made).unwrap();
+    let worker = fleet.worker();
+    let sent = json(&fleet.output("publish sim --robots 3 --duration 6 --format json"));
+    // Nothing of what the stand-ins draw and drive is outside of the limits.
+    assert_eq!(sent["samples_refused"], serde_json::json!({}), "{sent}");
+    let asked = fleet.output("ask --robot 1 --idle 600 --format json");
+    let answer = &json(&asked.exits(0))["answers"][0];
+    // A robot of 30 to 200 W, and never an answer that is surer than that.
+    let power_w = |name: &str| answer["energy"][name].as_f64().unwrap() / 600.0;
+    println!("figure: {} to {} W", power_w("lo_j"), power_w("hi_j"));
+    assert!(power_w("mean_j") > 20.0 && power_w("hi_j") - power_w("lo_j") > 10.0, "{answer}");
+    let dropped = json(&worker.end(rustix::process::Signal::TERM).exits(0));
+    assert_eq!(dropped["samples_dropped"], serde_json::json!({}));
+}
+
+#[test]
 fn one_stuck_robot_sets_no_limit_for_the_others() {
     let folder = tempfile::tempdir().unwrap();
     let runs = folder.path().join("runs");

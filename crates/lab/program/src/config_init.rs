@@ -1,4 +1,4 @@
-//! `joulebus config init`: a platform and a fleet from recordings.
+//! `joulebus config init`: a platform and a fleet from recordings, or from a data sheet.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -29,21 +29,36 @@ use crate::recordings::{ColumnArguments, find_recordings, open_with_ids};
 use crate::train::train_recordings;
 use joulebus_program::{model_range, model_source};
 
-/// Write a platform's and a fleet's config from recordings, and train its model if asked
+/// Write a platform's and a fleet's config from recordings or a data sheet, and train its model if
+/// asked
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
-    joulebus config init --from recordings/ --out lab/\n  \
+    joulebus config init --power 30-200 --speed 1.2 --battery-wh 480 --out lab/\n  \
     joulebus config init --from recordings/ --out lab/ --train\n  \
     joulebus config init --from runs/*.csv --map time=t,power_W=p --name husky --battery-wh 480 --out lab/\n\n\
     Rate, limits, resolution, holds and residual deviation are those of the recordings, each with \
     its measured value in a comment. Limits leave a margin. Without --train or --model, forecasts \
     are by \
-    persistence. So they are if the trained model is no better on held-out rows. The files pass `config check`. Nothing is overwritten.")]
+    persistence. So they are if the trained model is no better on held-out rows. Without recordings, \
+    --power states what is known: intervals begin as wide as its range. The files pass `config check`. Nothing is overwritten.")]
 pub(crate) struct Args {
     /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), directories (searched recursively), or
     /// patterns in quotes
-    #[arg(long, required = true, value_name = "PATH", num_args = 1..)]
+    #[arg(long, required_unless_present = "power", value_name = "PATH", num_args = 1..)]
     from: Vec<PathBuf>,
+    /// Without recordings: least and greatest power of the robot at work, W
+    #[arg(long, value_name = "LOW-HIGH", allow_hyphen_values = true, value_parser = power_w,
+        conflicts_with_all = ["from", "train", "map", "current", "accept"])]
+    power: Option<(f64, f64)>,
+    /// Greatest speed, m/s [default: robots that state no velocity]
+    #[arg(long, value_name = "MPS", requires = "power", value_parser = positive)]
+    speed: Option<f64>,
+    /// Greatest turn rate, rad/s
+    #[arg(long, value_name = "RADPS", requires = "speed", value_parser = positive, default_value = "3")]
+    turn: f64,
+    /// Samples a second of each robot, Hz
+    #[arg(long, value_name = "HZ", conflicts_with = "from", value_parser = positive, default_value = "10")]
+    rate: f64,
     #[command(flatten)]
     columns: ColumnArguments,
     #[command(flatten)]
@@ -66,6 +81,23 @@ pub(crate) struct Args {
     /// Energy of the battery from full to empty, Wh, which recordings do not state
     #[arg(long, value_name = "WH", value_parser = capacity_wh)]
     battery_wh: Option<f64>,
+}
+
+/// `LOW-HIGH`. Either may have a sign.
+fn power_w(text: &str) -> Result<(f64, f64), String> {
+    let signs = text.match_indices('-').skip_while(|(at, _)| *at == 0);
+    let mut found = signs.filter_map(|(at, _)| {
+        Some((text[..at].parse::<f64>().ok()?, text[at + 1..].parse::<f64>().ok()?))
+    });
+    let found = found.find(|(low, high)| low < high && high.is_finite() && *high > 0.0);
+    found.ok_or_else(|| "write the least and the greatest power in W, for example 30-200".into())
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let found: Option<f64> = text.parse().ok();
+    found
+        .filter(|found| 0.0 < *found && found.is_finite())
+        .ok_or_else(|| "allowed is above 0".into())
 }
 
 pub(crate) fn capacity_wh(text: &str) -> Result<f64, String> {
@@ -176,7 +208,10 @@ impl fmt::Display for HeldOut {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let map = args.columns.map();
-    let files = find_recordings(&args.from)?;
+    let files = match args.power {
+        Some(_) => Vec::new(),
+        None => find_recordings(&args.from)?,
+    };
     let (mut profiler, mut found, mut short) = (Profiler::default(), Vec::new(), Vec::new());
     let mut recorded_robots = RecordedRobots::default();
     for file in &files {
@@ -190,7 +225,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let count = recorded_robots.trials as usize;
     let implausible = args.accept.settle(found, &short)?;
-    let Some(recorded) = profiler.finish() else {
+    let Some(recorded) = args.stated().or_else(|| profiler.finish()) else {
         let what = "power is constant in all recordings, or there are fewer than two readings";
         return Err(UsageError(format!("{what}. Give recordings of a working robot")).into());
     };
@@ -228,8 +263,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut config = Config::load(&places.fleet)?;
     let mut models = load_models(&config)?;
     let held_out = match model {
-        Some(_) => HeldOut::score(&config, &models, (files, &map), split)?,
-        None => None,
+        Some(_) if args.power.is_none() => HeldOut::score(&config, &models, (files, &map), split)?,
+        _ => None,
     };
     let persistence_is_better = held_out.as_ref().is_some_and(HeldOut::is_below_persistence);
     if persistence_is_better && args.train {
@@ -247,12 +282,18 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let (file, from) = (word(&places.fleet), recordings(&args.from));
     let reading = args.columns.options() + &args.accept.option();
     let mut next = Vec::new();
-    if model.is_none() {
+    if model.is_none() && args.power.is_none() {
         next.push(format!("joulebus train trials {from} --out {}{reading}", word(&places.model)));
     }
     next.push(format!("joulebus config check {file}"));
     next.push(format!("joulebus run --config {file}"));
-    next.push(format!("joulebus publish trial {from} --config {file}{reading}"));
+    next.push(match config.settings().platforms.first().filter(|_| args.power.is_some()) {
+        Some(platform) => {
+            let ids = platform.robots.iter().cloned().flatten().take(20).count();
+            format!("joulebus publish sim --config {file} --robots {ids} --duration 20")
+        }
+        None => format!("joulebus publish trial {from} --config {file}{reading}"),
+    });
     let written = InitReport {
         fleet: places.fleet,
         platform: places.platform,
@@ -345,6 +386,27 @@ const fn is_allowed(letter: char) -> bool {
 }
 
 impl Args {
+    /// The profile that a data sheet leaves: each reading anywhere in the range, whatever the one
+    /// before.
+    fn stated(&self) -> Option<Profile> {
+        let (low_w, high_w) = self.power?;
+        let span_w = high_w - low_w;
+        Some(Profile {
+            trials: 0,
+            readings: 0,
+            rate_hz: self.rate,
+            power_w: (low_w, high_w),
+            resolution_w: Some(span_w * 1e-3),
+            difference_w: span_w / 6f64.sqrt(),
+            usual_hold_s: 0.0,
+            longest_hold_s: 20.0,
+            stuck: Vec::new(),
+            v_mps: self.speed,
+            omega_radps: self.speed.map(|_| self.turn),
+            voltage_v: None,
+        })
+    }
+
     fn name(&self) -> Result<String, UsageError> {
         let name = match &self.name {
             Some(name) => name.clone(),
@@ -453,9 +515,25 @@ impl<'a> ChosenModel<'a> {
     }
 }
 
+/// Origins of values without recordings.
+const STATED: [(&str, &str); 8] = [
+    ("rate_hz", "--rate, or assumed."),
+    ("stale_after_s", "6.5 samples or more."),
+    ("hold_max_s", "Assumed: each sample is measured anew."),
+    ("stuck_after_s", "Assumed."),
+    ("power_min_w", "--power. A robot that rests may draw less."),
+    ("power_max_w", "--power, and a quarter more."),
+    ("power_resolution_w", "Assumed: a thousandth of the range."),
+    (
+        "residual_std_w",
+        "Assumed: a reading says nothing about the next one. Intervals begin that wide, and NoiseHigh needs recordings.",
+    ),
+];
+
 fn platform(name: &str, recorded: &Profile, model: ChosenModel<'_>, args: &Args) -> String {
     let (least_w, greatest_w) = recorded.power_w;
     let span_w = greatest_w - least_w;
+    let margin = if args.power.is_some() { 1.25 } else { 1.5 };
     let rate_hz = nearest(recorded.rate_hz);
     let stale_s = above(6.5 / rate_hz).max(0.5);
     let hold_s = above(3.0 * recorded.usual_hold_s).max(0.5).max(above(1.5 / rate_hz));
@@ -475,12 +553,18 @@ fn platform(name: &str, recorded: &Profile, model: ChosenModel<'_>, args: &Args)
         ),
     };
     let speed = |key, value: Option<f64>, unit: &str, least: f64| match value {
-        None => number(key, 0.0, "Not recorded."),
+        None => number(key, 0.0, "Not known."),
         Some(0.0) => number(key, least, "Recorded: nothing but 0."),
         Some(value) => number(
             key,
             above(1.25 * value),
-            format!("Recorded: up to {value:.3} {unit}, a quarter more."),
+            match args.power {
+                Some(_) => format!(
+                    "--{}, and a quarter more.",
+                    if unit == "m/s" { "speed" } else { "turn" }
+                ),
+                None => format!("Recorded: up to {value:.3} {unit}, a quarter more."),
+            },
         ),
     };
     let mut assignments = vec![
@@ -501,7 +585,7 @@ fn platform(name: &str, recorded: &Profile, model: ChosenModel<'_>, args: &Args)
         number("power_min_w", min_w, format!("Recorded: {least_w:.3} W and more.")),
         number(
             "power_max_w",
-            above(1.5 * greatest_w.max(0.0)).max(min_w.abs() * 1e-3).max(1e-3),
+            above(margin * greatest_w.max(0.0)).max(min_w.abs() * 1e-3).max(1e-3),
             format!("Recorded: up to {greatest_w:.3} W, half as much again."),
         ),
         number("power_resolution_w", resolution.0, resolution.1),
@@ -529,6 +613,15 @@ fn platform(name: &str, recorded: &Profile, model: ChosenModel<'_>, args: &Args)
         "Platform {name}, from {} trials with {} readings.",
         recorded.trials, recorded.readings
     );
+    if args.power.is_some() {
+        title =
+            format!("Platform {name}, from a data sheet. `joulebus config init --from` measures.");
+        for assignment in &mut assignments {
+            if let Some((_, note)) = STATED.iter().find(|(key, _)| *key == assignment.key) {
+                (*note).clone_into(&mut assignment.note);
+            }
+        }
+    }
     if let (Some((low, high)), None) = (recorded.voltage_v, args.battery_wh) {
         title += &format!(
             " Battery voltage {low:.2} to {high:.2} V. Recordings do not state its capacity: add a \
@@ -567,6 +660,8 @@ fn robots(args: &Args, recorded: &RecordedRobots) -> Result<String, UsageError> 
     let ids: Option<BTreeSet<u32>> = names.map(|name| name.parse().ok()).collect();
     let ids: Vec<u32> = match ids.filter(|ids| !ids.is_empty()) {
         Some(ids) => ids.into_iter().collect(),
+        // As many as `publish sim` makes.
+        None if args.power.is_some() => (0..20).collect(),
         // One for each trial, so that all of them can be played together.
         None => (0..recorded.trials).collect(),
     };
@@ -603,14 +698,12 @@ fn fleet(name: &str, recorded: &Profile, robots: &str, files: &[PathBuf]) -> Str
         Assignment::number("intake.max_jump_s", (2.0 * leave_s).max(60.0), ""),
         Assignment::number("intake.leave_after_s", leave_s, ""),
         Assignment::text("platform.file", &format!("platforms/{name}.toml"), ""),
-        Assignment {
-            key: "platform.robots",
-            value: robots.to_owned(),
-            note: "Of the recordings.".to_owned(),
-        },
+        Assignment { key: "platform.robots", value: robots.to_owned(), note: String::new() },
     ];
-    let title =
-        format!("Fleet {name}, made by `joulebus config init` from {} recordings.", files.len());
+    let title = match files.len() {
+        0 => format!("Fleet {name}, made by `joulebus config init` from a data sheet."),
+        count => format!("Fleet {name}, made by `joulebus config init` from {count} recordings."),
+    };
     fleet_file(&title, &assignments)
 }
 
@@ -625,11 +718,19 @@ impl fmt::Display for InitReport {
             usual_hold_s,
             ..
         } = &self.recorded;
-        writeln!(
-            out,
-            "{trials} trials, {readings} readings: {rate_hz:.2} Hz, {least_w:.2} to {greatest_w:.2} W, \
+        if *trials == 0 {
+            writeln!(
+                out,
+                "without recordings: {rate_hz} Hz, {least_w} to {greatest_w} W. Forecasts repeat \
+                 the last reading, and intervals begin wider than that range"
+            )?;
+        } else {
+            writeln!(
+                out,
+                "{trials} trials, {readings} readings: {rate_hz:.2} Hz, {least_w:.2} to {greatest_w:.2} W, \
              usually held for {usual_hold_s:.3} s, difference of consecutive readings {difference_w:.3} W"
-        )?;
+            )?;
+        }
         if let Some(step_w) = self.recorded.resolution_w {
             writeln!(out, "resolution {step_w:.4} W")?;
         }
