@@ -6,7 +6,7 @@ use joulebus_program::options::GlobalOptions;
 
 use crate::{
     alarms, ask, battery, completions, config, demo, doctor, external, info, man, new, publish,
-    record, recover, replay, run, watch,
+    record, recover, replay, run, status, watch,
 };
 
 /// Power forecasts for robot fleets over shared memory: one worker, any number of sources and
@@ -58,6 +58,7 @@ pub(crate) enum Command {
     Link,
     Import,
     Data,
+    Status(status::Args),
     Doctor(doctor::Args),
     Config(config::Args),
     Train,
@@ -76,7 +77,7 @@ pub(crate) enum Command {
 const GROUPS: [(&str, &[&str]); 6] = [
     ("To begin", &["demo", "new", "config", "doctor"]),
     ("A running fleet", &["run", "publish", "bridge", "link"]),
-    ("What to know of it", &["watch", "ask", "battery", "alarms", "serve"]),
+    ("What to know of it", &["status", "watch", "ask", "battery", "alarms", "serve"]),
     ("Captures", &["record", "replay", "info", "recover", "import"]),
     (
         "Models and data",

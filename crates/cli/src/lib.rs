@@ -49,6 +49,7 @@ mod replay;
 mod run;
 mod schema;
 mod service_manager;
+mod status;
 mod supervisor;
 mod view;
 mod watch;
@@ -108,6 +109,7 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Import => external::run_lab("import"),
         Command::Data => external::run_lab("data"),
         Command::Doctor(args) => doctor::run(args, output),
+        Command::Status(args) => status::run(args, output),
         Command::Config(args) => config::run(args, output),
         Command::Train => external::run_lab("train"),
         Command::Analyze => external::run_lab("analyze"),

@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::Duration;
 
 use joulebus_bus::{
-    CapacityError, Domain, Inspection, NodeInfo, OtherRoot, Ports, RemovedFiles, RootError,
-    check_capacity, clock, other_roots,
+    CapacityError, Domain, Inspection, NodeInfo, Ports, RemovedFiles, RootError, check_capacity,
+    clock,
 };
 use joulebus_config::Config;
 use joulebus_consumer::{Event, Subscriber};
@@ -162,7 +162,10 @@ pub(super) fn worker(config: &Config, inspection: &Inspection) -> Check {
     match inspection.worker.map(|owner| owner.pid) {
         Some(Some(pid)) => Check::ok("worker", format!("runs, pid {pid}")),
         Some(None) => Check::ok("worker", "runs, in another container or unseen from here"),
-        None => Check::ok("worker", "none runs (`joulebus run` starts one)"),
+        None => Check::ok(
+            "worker",
+            "none runs (`joulebus run` starts one, `joulebus status` lists the fleets of all users)",
+        ),
     }
 }
 
@@ -196,19 +199,6 @@ fn linked(config: &Config, pid: u32) -> Check {
         }
         Err(error) => Check::new(name, Status::Warn, format!("{place}: {error}"), ""),
     }
-}
-
-/// Other users' fleets, where this user's has no worker.
-pub(super) fn other_users(domain: &Domain, inspection: &Inspection) -> Option<Check> {
-    let others = match inspection.worker {
-        None => other_roots(domain.root()),
-        Some(_) => Vec::new(),
-    };
-    let shown: Vec<String> = others.iter().map(ToString::to_string).collect();
-    (!shown.is_empty()).then(|| {
-        let found = shown.join("; ");
-        Check::new("other users", Status::Warn, found, OtherRoot::REMEDY)
-    })
 }
 
 /// The permit of a worker that stands by. Nothing where no link of several workers' hosts runs.

@@ -98,7 +98,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         fleet::removed_files(&removed_files(&domain)),
         fleet::stale_files(&inspection),
     ];
-    checks.extend(fleet::other_users(&domain, &inspection));
     checks.extend(fleet::permit(&config));
     checks.extend(host::clocks());
     checks.push(rights::scheduling(config.scheduling()));

@@ -6,14 +6,17 @@ use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use joulebus_testkit::Child;
+use joulebus_testkit::{Child, assert_contains};
 use rustix::process::{Signal, geteuid};
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, Program, is_built, joulebus, stderr};
+use crate::fleet::{Fleet, Program, is_built, joulebus, stderr, stdout};
 
 /// Uid of `nobody`.
 const OTHER: u32 = 65_534;
+/// A user and a group that no system has.
+const MEMBER: u32 = 3_141_592;
+const GROUP: u32 = 3_141_593;
 
 /// Verbs that go on without a worker, until a signal. Words in capitals are files.
 const WAITS: &[&str] = &[
@@ -123,7 +126,37 @@ fn every_verb_that_looks_for_a_worker_names_the_user_who_runs_one() {
     worker.wait_for_line("ready:");
     let (uid, pid) = (format!("uid {OTHER}"), format!("pid {}", worker.pid()));
     let root = theirs.display().to_string();
-    each_says(folder.path(), &[&root, &uid, &pid, "as that user", "`joulebus serve --socket"]);
+    each_says(folder.path(), &[&root, &uid, &pid, "su -s /bin/sh nobody -c", "`joulebus serve --socket"]);
+    let own = at(&format!("joulebus-{}", geteuid().as_raw()));
+    let status = command(&Fleet::new(), &own, "status").output().unwrap();
+    assert_contains(&stdout(&status), [root.as_str(), &uid, &pid, "su -s /bin/sh nobody"]);
+    // The remedies: as that user, or by a socket for a group, which nobody else may enter.
+    let verb = format!("{} status --config {}", at("joulebus").display(), config.display());
+    let su = Command::new("su").args(["-s", "/bin/sh", "nobody", "-c", &verb]).output().unwrap();
+    let theirs_seen = format!("worker {pid}");
+    assert_contains(&stdout(&su), ["yours", theirs_seen.as_str()]);
+    if is_built("serve") {
+        let mut copy = Command::new("cp");
+        let serve = Path::new(env!("CARGO_BIN_EXE_joulebus")).with_file_name("joulebus-serve");
+        assert!(copy.arg(serve).arg(at("joulebus-serve")).status().unwrap().success());
+        let sockets = at("sockets");
+        fs::create_dir(&sockets).unwrap();
+        chown(&sockets, Some(OTHER), Some(GROUP)).unwrap();
+        fs::set_permissions(&sockets, PermissionsExt::from_mode(0o2750)).unwrap();
+        let mut run = Command::new(at("joulebus"));
+        run.args(["serve", "--socket"]).arg(sockets.join("s")).arg("--config").arg(&config);
+        run.current_dir("/").uid(OTHER).gid(OTHER).env_remove("JOULEBUS_LOG");
+        let mut serve = Child::spawn("their socket", run);
+        serve.wait_for_line("/s");
+        for (group, code) in [(GROUP, 0), (GROUP + 1, 7)] {
+            let mut curl = Command::new("curl");
+            curl.args(["-sS", "http://localhost/api/v1/fleet", "--unix-socket"]);
+            let asked = curl.arg(sockets.join("s")).uid(MEMBER).gid(group).output().unwrap();
+            assert_eq!(asked.status.code(), Some(code), "{group}: {}", stderr(&asked));
+        }
+        serve.signal(Signal::TERM);
+        assert_eq!(serve.wait().code(), Some(0));
+    }
     worker.signal(Signal::TERM);
     assert_eq!(worker.wait().code(), Some(0));
 }

@@ -34,7 +34,7 @@ pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};
 pub use membership::JoinError;
-pub use no_worker::{NoWorker, OtherRoot, other_roots};
+pub use no_worker::{NoWorker, OtherRoot, fleets_below, other_roots, own_roots};
 pub use os::apart::ThreadsApart;
 pub use os::background::{Background, Panicked, Rounds, Running, Steps, ThreadWatch, make_calls};
 pub use os::clock;

@@ -18,7 +18,7 @@ use crate::private::{check_own, check_private};
 use crate::{Domain, RootError, clock};
 use joulebus_domain::FLEET_MARKER;
 
-const ROOT_MARKER: &str = ".joulebus";
+pub(crate) const ROOT_MARKER: &str = ".joulebus";
 /// Prefix of every marker.
 const FIRST_LINE: &str = "joulebus directory 1\n";
 /// Maximum number of bytes read from a marker.

@@ -7,8 +7,11 @@ use std::fs;
 use std::os::unix::fs::MetadataExt as _;
 use std::path::{Path, PathBuf};
 
+use crate::marker::ROOT_MARKER;
 use crate::os::files::effective_uid;
+use crate::private::check_private;
 use crate::{Domain, WorkerLock};
+use joulebus_domain::{FLEET_MARKER, SHM_DIR};
 
 /// A fleet without a worker on this host. Shown, it names the remedy.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -51,7 +54,7 @@ impl fmt::Display for NoWorker {
             root.display()
         )?;
         for other in others {
-            write!(out, ". {other}: {}", OtherRoot::REMEDY)?;
+            write!(out, ". {other}: {}", other.remedy())?;
         }
         Ok(())
     }
@@ -67,9 +70,44 @@ pub struct OtherRoot {
 }
 
 impl OtherRoot {
-    /// Remedy if the fleet of another user is wanted.
-    pub const REMEDY: &str = "run this as that user, or have that user pass the fleet on with \
-        `joulebus serve --socket PATH` or `--http ADDRESS`";
+    /// Remedy if the fleet of that user is wanted.
+    #[must_use]
+    pub fn remedy(&self) -> String {
+        format!(
+            "run this as that user (root: `su -s /bin/sh {} -c 'joulebus …'`), or have that user \
+             pass the fleet on with `joulebus serve --socket PATH` or `--http ADDRESS`",
+            self.user()
+        )
+    }
+
+    /// The user's name, or the id if it has none.
+    fn user(&self) -> String {
+        let all = fs::read_to_string("/etc/passwd").unwrap_or_default();
+        let uid = self.uid.to_string();
+        let own = all.lines().find(|line| line.split(':').nth(2) == Some(uid.as_str()));
+        own.and_then(|line| line.split(':').next()).map_or(uid, str::to_owned)
+    }
+}
+
+/// Roots below /dev/shm that belong to this user and were made by joulebus.
+#[must_use]
+pub fn own_roots() -> Vec<PathBuf> {
+    let entries = fs::read_dir(SHM_DIR).into_iter().flatten().flatten();
+    let folders = entries.map(|entry| entry.path()).filter(|path| check_private(path).is_ok());
+    let mut roots: Vec<PathBuf> = folders.filter(|path| path.join(ROOT_MARKER).is_file()).collect();
+    roots.sort();
+    roots
+}
+
+/// Names of the fleets below a root of this user.
+#[must_use]
+pub fn fleets_below(root: &Path) -> Vec<String> {
+    let entries = fs::read_dir(root).into_iter().flatten().flatten();
+    let fleets = entries.filter(|entry| entry.path().join(FLEET_MARKER).is_file());
+    let mut names: Vec<String> =
+        fleets.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    names.sort();
+    names
 }
 
 /// The roots beside `root` that differ from it by the user's id alone, of users who run joulebus.
@@ -114,7 +152,8 @@ impl fmt::Display for OtherRoot {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { path, uid, pid } = self;
         let path = path.display();
-        write!(out, "{path} is of uid {uid}, whose joulebus runs (pid {pid})")
+        let user = self.user();
+        write!(out, "{path} is of {user} (uid {uid}), whose joulebus runs (pid {pid})")
     }
 }
 
