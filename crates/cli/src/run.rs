@@ -68,6 +68,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         if args.standby { Worker::open_standby(&config)? } else { Worker::open(&config)? };
     worker.count_turns_in(turns);
     worker.take_statements_from(statements);
+    worker.tell_refusals_to(alarms.refusals());
     worker.needs(alarms.watch());
     if let Some(thread) = questions.watch() {
         worker.needs(thread);

@@ -3,20 +3,24 @@
 
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use joulebus_bus::{Background, Steps, ThreadWatch};
 use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_connect::raises::RaisesFile;
+use joulebus_connect::refusals::{Refusals, RefusalsFile, Refused};
 use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
 use joulebus_plan::report::Lasting;
+use joulebus_predictor_worker::{RefusalLog, RefusedSamples};
 use joulebus_program::logging::ALARMS;
 use joulebus_wire::Level;
 use serde::Serialize;
 
 /// Pause before the diagnostics are opened again.
 const OPEN_EVERY: Duration = Duration::from_secs(1);
+/// Interval of telling what is refused.
+const TELL_EVERY: Duration = Duration::from_millis(500);
 /// Interval of checking whether the worker is open.
 const POLL_INTERVAL: Duration = Duration::from_millis(5);
 
@@ -38,6 +42,7 @@ pub(crate) struct AlarmLog {
     thread: Background,
     report: Arc<Mutex<AlarmReport>>,
     may_open: Arc<AtomicBool>,
+    refusals: Arc<Mutex<RefusalLog>>,
 }
 
 impl AlarmLog {
@@ -48,9 +53,14 @@ impl AlarmLog {
         let (config, shared) = (config.clone(), Arc::clone(&report));
         let may_open = Arc::<AtomicBool>::default();
         let worker_is_open = Arc::clone(&may_open);
+        let refusals = Arc::<Mutex<RefusalLog>>::default();
+        let refused = Arc::clone(&refusals);
         let thread = Background::start("joulebus-alarms", move || {
             Ok::<_, std::io::Error>(Logging {
                 raises: RaisesFile::new(&config).ok(),
+                refusals_file: RefusalsFile::new(&config).ok(),
+                refusals: refused,
+                told: None,
                 config,
                 feed: None,
                 before: AlarmReport::default(),
@@ -59,7 +69,12 @@ impl AlarmLog {
                 failed: false,
             })
         })?;
-        Ok(Self { thread, report, may_open })
+        Ok(Self { thread, report, may_open, refusals })
+    }
+
+    /// Where the worker tells its refusals.
+    pub(crate) fn refusals(&self) -> Arc<Mutex<RefusalLog>> {
+        Arc::clone(&self.refusals)
     }
 
     /// Opens the diagnostics, once the worker holds the fleet's lock.
@@ -85,6 +100,9 @@ struct Logging {
     config: Config,
     /// For readers that start later.
     raises: Option<RaisesFile>,
+    refusals_file: Option<RefusalsFile>,
+    refusals: Arc<Mutex<RefusalLog>>,
+    told: Option<Instant>,
     feed: Option<AlarmFeed>,
     /// Totals of earlier feeds.
     before: AlarmReport,
@@ -108,6 +126,36 @@ impl Logging {
         self.feed.as_mut()
     }
 
+    /// Tells the sources and views what the worker refuses.
+    fn tell_refusals(&mut self) {
+        let Some(file) = &mut self.refusals_file else {
+            return;
+        };
+        if self.told.is_some_and(|told| told.elapsed() < TELL_EVERY) {
+            return;
+        }
+        self.told = Some(Instant::now());
+        let settings = self.config.settings();
+        let refused = |one: &RefusedSamples| Refused {
+            source: (one.source_id, one.source_epoch),
+            robot: one.sample.robot,
+            reason: one.reason,
+            count: one.count,
+            at_ns: one.at_ns,
+            // Another reason may have come first: then the values are not at fault.
+            found: (settings.refusal(&one.sample))
+                .filter(|refused| refused.reason == one.reason)
+                .map(|refused| refused.found()),
+        };
+        let log = self.refusals.lock().unwrap_or_else(PoisonError::into_inner);
+        let list = |list: &[RefusedSamples]| list.iter().map(refused).collect();
+        let refusals = Refusals { sources: list(log.sources()), robots: list(log.robots()) };
+        drop(log);
+        if let Err(error) = file.write(refusals) {
+            tracing::debug!(%error, "sources do not learn what is refused");
+        }
+    }
+
     fn fails(&mut self, error: &ConnectError) {
         if !std::mem::replace(&mut self.failed, true) {
             tracing::warn!(%error, "alarms are not logged at present");
@@ -120,6 +168,7 @@ impl Steps for Logging {
         if !self.worker_is_open.load(Ordering::Relaxed) {
             return (!last).then_some(POLL_INTERVAL);
         }
+        self.tell_refusals();
         let mut report = *self.report.lock().unwrap_or_else(PoisonError::into_inner);
         let Some(feed) = self.feed() else {
             return (!last).then_some(OPEN_EVERY);

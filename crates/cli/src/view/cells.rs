@@ -163,8 +163,8 @@ pub(crate) fn quality(quality: Quality) -> String {
     }
 }
 
-/// Level and most important alarm, with the number of further alarms.
-fn state(row: &Row) -> String {
+/// Level and most important alarm, marked if a person has acknowledged it, with the number of further alarms.
+pub(crate) fn state(row: &Row) -> String {
     state_within(row, usize::MAX)
 }
 
@@ -174,13 +174,16 @@ pub(crate) fn state_within(row: &Row, width: usize) -> String {
         return UNKNOWN.to_owned();
     };
     let word = diagnostic.level().name();
-    let (alarms, name) = (diagnostic.alarms(), diagnostic.alarms().first().name());
+    let alarms = diagnostic.alarms();
+    // A person has acknowledged it.
+    let mark = if row.acknowledged.has(alarms.cause()) { " ✓" } else { "" };
+    let name = format!("{}{mark}", alarms.cause().name());
     let more = match alarms.iter().count() {
         0 => return shortened(word, width),
         1 => String::new(),
         count => format!(" +{}", count - 1),
     };
-    let forms = [format!("{word} {name}{more}"), format!("{name}{more}"), name.to_owned()];
+    let forms = [format!("{word} {name}{more}"), format!("{name}{more}"), name];
     let fits = |form: &String| form.chars().count() <= width;
     forms.into_iter().find(fits).unwrap_or_else(|| shortened(word, width))
 }

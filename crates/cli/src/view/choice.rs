@@ -8,8 +8,8 @@ const MAX_SEARCH_CHARACTERS: usize = 40;
 
 /// Orders in turn, with their names on the screen.
 const ORDERS: [(Sort, &str); 4] = [
+    (Sort::Urgency, "urgency"),
     (Sort::Robot, "name"),
-    (Sort::Urgency, "alarm"),
     (Sort::Soc, "battery"),
     (Sort::Power, "power"),
 ];
@@ -42,7 +42,7 @@ impl Listed {
 }
 
 impl Choice {
-    /// All robots by id, optionally with a selected one.
+    /// All robots by urgency, optionally with a selected one.
     pub(crate) const fn new(platforms: Platforms, selected: Option<u32>) -> Self {
         Self {
             platforms,

@@ -24,7 +24,7 @@ const ALL: [(&str, &str); 13] = [
     ("PgUp PgDn", "ten robots"),
     ("Home End", "the first, the last"),
     ("a", "the next robot with an alarm"),
-    ("s", "sort by name, alarm, battery, power"),
+    ("s", "sort by urgency, name, battery, power"),
     ("r", "the other way round"),
     ("f", "only robots with an alarm, or all"),
     ("/", "search: id, platform, alarm, level"),

@@ -217,7 +217,9 @@ pub(super) fn draw_chart(frame: &mut Frame, area: Rect, board: &Board, robot: Op
         Span::styled(forecast, Style::new().fg(FORECAST)),
         Span::styled(interval, QUIET),
     ]);
-    let learned = match lacks_charge(row) {
+    let refused = board.refused_value(robot).and_then(|refused| refused.found.clone());
+    let refused = refused.map(|found| format!("refused: {found}"));
+    let learned = match refused.or(lacks_charge(row).map(str::to_owned)) {
         Some(hint) => format!(" {hint} "),
         None => learned(row, area.width >= WIDE_CHART_COLUMNS),
     };

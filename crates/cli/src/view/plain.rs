@@ -5,7 +5,7 @@ use std::fmt::Write as _;
 use joulebus_board::{Board, Row};
 use joulebus_wire::Level;
 
-use super::cells::{HEADS, cells, columns, lacks_charge, micros};
+use super::cells::{HEADS, cells, columns, lacks_charge, micros, state};
 
 /// Maximum number of robots named in a line.
 const MAX_NAMED: usize = 4;
@@ -29,14 +29,11 @@ pub(crate) fn line(board: &Board, now_ns: u64) -> String {
     if let (Some(ours), Some(theirs)) = (scores.rmse_w, scores.persistence_rmse_w) {
         let _ = write!(text, "  RMSE {ours:.3} W (persistence {theirs:.3})");
     }
-    let standing_out: Vec<(&u32, &Row)> = board
-        .rows
-        .iter()
-        .filter(|(_, row)| row.level() != Level::Ok && row.diagnostic.is_some())
-        .collect();
+    let stands_out = |row: &Row| row.level() != Level::Ok && row.diagnostic.is_some();
+    let rows = board.by_urgency().into_iter().map(|robot| (robot, &board.rows[&robot]));
+    let standing_out: Vec<(u32, &Row)> = rows.filter(|(_, row)| stands_out(row)).collect();
     for (robot, row) in standing_out.iter().take(MAX_NAMED) {
-        let alarm = row.diagnostic.map_or("", |diagnostic| diagnostic.alarm().name());
-        let _ = write!(text, "  [{robot} {} {alarm}]", row.level().name());
+        let _ = write!(text, "  [{robot} {}]", state(row));
     }
     if standing_out.len() > MAX_NAMED {
         let _ = write!(text, "  and {} more", standing_out.len() - MAX_NAMED);
@@ -50,10 +47,10 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
     let columns = columns(!board.outlooks.is_empty());
     let heads = HEADS.map(|(head, _)| head.to_owned());
     push_row(&mut text, &heads, &columns);
-    for (robot, row) in &board.rows {
-        if only.is_none_or(|only| only == *robot) {
-            let cells = cells(*robot, row, board.outlooks.get(robot));
-            push_row(&mut text, &cells, &columns);
+    for robot in board.by_urgency() {
+        if let Some(row) = board.rows.get(&robot).filter(|_| only.is_none_or(|only| only == robot))
+        {
+            push_row(&mut text, &cells(robot, row, board.outlooks.get(&robot)), &columns);
         }
     }
     let mut shown = board.rows.iter().filter(|(robot, _)| only.is_none_or(|only| only == **robot));

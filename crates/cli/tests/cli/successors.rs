@@ -3,9 +3,9 @@
 use rustix::process::Signal;
 use serde_json::Value;
 
-use joulebus_testkit::eventually;
+use joulebus_testkit::{assert_contains, eventually};
 
-use crate::fleet::{Exits as _, Fleet, Program, code, json, output, stderr};
+use crate::fleet::{Exits as _, Fleet, Program, code, json, output, stderr, stdout};
 
 /// A simulation of three robots, 30 samples a second of each.
 fn source(fleet: &Fleet, name: &str, more: &str) -> Program {
@@ -88,8 +88,13 @@ fn a_second_source_is_refused_while_the_first_lives_or_is_stopped_and_takes_over
         if stopped {
             first.signal(Signal::STOP);
         }
-        let report = json(&source(&fleet, "second", "--duration 1").wait());
+        let ended = source(&fleet, "second", "--duration 3").wait();
+        let report = json(&ended);
         sent += report["samples_sent"].as_u64().unwrap();
+        // It learns that, why, and what to do.
+        let told = report["samples_refused"]["ForeignSource"].as_u64();
+        assert!(told.is_some_and(|told| 0 < told && told <= sent), "{report}");
+        assert_contains(&stderr(&ended), ["(ForeignSource)", "end one of the two"]);
     }
     first.signal(Signal::CONT);
     more_are_accepted(&fleet);
@@ -101,4 +106,45 @@ fn a_second_source_is_refused_while_the_first_lives_or_is_stopped_and_takes_over
     let third = json(&third.end(Signal::TERM).exits(0))["samples_sent"].as_u64().unwrap();
     let (foreign, dropped) = refused(worker);
     assert!((sent + 1..sent + third).contains(&foreign), "{foreign}, {sent}, {third}: {dropped}");
+}
+
+/// Two controllers run. The longest time without samples is printed for docs/how-to/standby.md.
+#[test]
+fn a_second_controller_takes_over_when_the_first_is_killed() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let mut first = source(&fleet, "first", "");
+    more_are_accepted(&fleet);
+    let watch = Program::start(fleet.joulebus("watch --format json"));
+    let mut second = source(&fleet, "second", "");
+    second.wait_for_stderr("(ForeignSource)");
+    first.signal(Signal::KILL);
+    first.wait();
+    more_are_accepted(&fleet);
+    more_are_accepted(&fleet);
+    let shown = stdout(&watch.end(Signal::TERM));
+    let frames = shown.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+    let frames: Vec<(u64, u64)> = frames
+        .filter_map(|frame| Some((frame["tick"].as_u64()?, frame["samples_accepted"].as_u64()?)))
+        .collect();
+    let alike = frames.chunk_by(|one, other| one.1 == other.1);
+    let gaps = alike.map(|alike| alike[alike.len() - 1].0 - alike[0].0);
+    println!("figure: {} ticks without samples", gaps.max().unwrap_or_default());
+    second.end(Signal::TERM).exits(0);
+    worker.end(Signal::TERM).exits(0);
+}
+
+/// The newer process of a name has the robots. The older one learns it.
+#[test]
+fn a_controller_that_was_replaced_by_a_second_of_its_name_learns_it() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let mut first = source(&fleet, "twin", "");
+    more_are_accepted(&fleet);
+    let second = source(&fleet, "twin", "");
+    first.wait_for_stderr("(OldEpoch)");
+    let ended = first.end(Signal::TERM);
+    assert_contains(&stderr(&ended), ["a newer process with this source's name has taken over"]);
+    second.end(Signal::TERM).exits(0);
+    worker.end(Signal::TERM).exits(0);
 }

@@ -2,13 +2,15 @@
 
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
+use joulebus_connect::refusals::{Refusals, Refused};
 use joulebus_wire::{
-    Alarm, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, Level, OUTLOOK_HORIZONS,
-    Outlook, QueryCounts, budget_flag,
+    Acknowledgement, Alarm, AlarmSet, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader,
+    Level, OUTLOOK_HORIZONS, Outlook, QueryCounts, budget_flag,
 };
 
 use crate::ahead::{Ahead, AheadScores};
 use crate::scores::{Pooled, Scores};
+use crate::sort::{Sort, SortKey};
 use crate::stages::Stages;
 
 /// Length of a robot's track and of the latency history, ticks: eight seconds at 30 Hz.
@@ -120,6 +122,8 @@ pub struct Row {
     pub diagnostic: Option<Diagnostic>,
     /// The newest budget.
     pub budget: Option<Budget>,
+    /// Its alarms that persons have acknowledged.
+    pub acknowledged: AlarmSet,
     /// The newest reading and the forecast made for it.
     pub point: Option<Point>,
     /// Points of the last eight seconds, oldest first, and none in large fleets.
@@ -162,6 +166,8 @@ pub struct Board {
     pub frames_missed: u64,
     /// Number of questions about plans, if the worker reports it.
     pub queries: Option<QueryCounts>,
+    /// Samples that the worker refuses, as it told last.
+    pub refusals: Refusals,
     /// Event log, oldest first: time since the start, s, and text.
     pub notes: VecDeque<(f64, String)>,
     pooled: Pooled,
@@ -188,6 +194,7 @@ impl Board {
             frames: 0,
             frames_missed: 0,
             queries: None,
+            refusals: Refusals::default(),
             notes: VecDeque::new(),
             pooled: Pooled::default(),
             ahead: Ahead::default(),
@@ -344,6 +351,46 @@ impl Board {
         }
     }
 
+    /// Replaces what persons have acknowledged.
+    pub fn acknowledged(&mut self, rows: &[Acknowledgement]) {
+        for row in self.rows.values_mut() {
+            row.acknowledged = AlarmSet::default();
+        }
+        for one in rows {
+            if let Some(row) = self.rows.get_mut(&one.robot) {
+                row.acknowledged = row.acknowledged.with(one.alarm());
+            }
+        }
+    }
+
+    /// Ids of all robots, the most urgent first.
+    #[must_use]
+    pub fn by_urgency(&self) -> Vec<u32> {
+        let sort = Sort::Urgency;
+        let mut keys: Vec<SortKey> =
+            self.rows.iter().map(|(robot, row)| sort.key(*robot, &row.newest())).collect();
+        keys.sort_unstable_by(|a, b| sort.compare(false, a, b));
+        keys.iter().map(SortKey::robot).collect()
+    }
+
+    /// Replaces what the worker refuses, and logs each source and reason that is new.
+    pub fn refused(&mut self, refusals: Refusals, now_ns: u64) {
+        let key = |one: &Refused| (one.source, one.reason);
+        let is_new = |one: &&Refused| {
+            one.is_recent() && !self.refusals.sources.iter().any(|known| key(known) == key(one))
+        };
+        let new = refusals.sources.iter().filter(is_new).map(ToString::to_string);
+        let new: Vec<String> = new.collect();
+        new.into_iter().for_each(|note| self.note(note, now_ns));
+        self.refusals = refusals;
+    }
+
+    /// The value for which samples of a robot are refused at present, and what is allowed.
+    pub fn refused_value(&self, robot: u32) -> Option<&Refused> {
+        let mut robots = self.refusals.robots.iter();
+        robots.find(|refused| refused.robot == robot && refused.is_recent())
+    }
+
     /// Replaces the outlooks, which come after the other rows of their tick, and compares earlier
     /// ones with the energy that was drawn.
     pub fn outlooks(&mut self, outlooks: &[Outlook]) {
@@ -478,6 +525,7 @@ impl Row {
             point: None,
             track: VecDeque::new(),
             residual_w: None,
+            acknowledged: AlarmSet::default(),
             frame,
         }
     }

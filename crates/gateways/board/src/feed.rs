@@ -8,16 +8,20 @@ use std::time::Duration;
 use joulebus_bus::{Background, Bus, FrameBuf, Rounds, SampleReader, clock};
 use joulebus_config::Config;
 use joulebus_connect::raises::raises;
+use joulebus_connect::refusals::Refusals;
 use joulebus_connect::{ConnectError, join};
 use joulebus_consumer::{
     self as consumer, Budgets, Diagnostics, End, Outlooks, Queries, ReadError, Subscriber,
     WorkerState,
 };
+use joulebus_wire::Acknowledgements;
 
 use crate::board::{Board, Link};
 
 /// Timeout of one wait.
 const WAIT_TIMEOUT: Duration = Duration::from_millis(100);
+/// Interval of reading what the worker refuses, ns.
+const REFUSALS_EVERY_NS: u64 = 1_000_000_000;
 /// Timeout for the diagnostics and budgets of a tick, which follow its forecasts.
 const FOLLOW_NS: u64 = 5_000_000;
 const FOLLOW_EVERY: Duration = Duration::from_micros(200);
@@ -44,10 +48,12 @@ pub struct Reading {
     outlooks: Option<consumer::Feed<Outlooks>>,
     /// None if there are too many readers.
     queries: Option<consumer::Feed<Queries>>,
+    acknowledgements: Option<consumer::Feed<Acknowledgements>>,
     tap: Option<Tap>,
     polls: bool,
-    /// Until the first diagnostics.
-    config: Option<Config>,
+    config: Config,
+    knows_raises: bool,
+    refusals_ns: u64,
     planner: Subscriber,
 }
 
@@ -82,9 +88,12 @@ impl Reading {
             budgets: planner.budgets()?,
             outlooks: None,
             queries: planner.queries().ok(),
+            acknowledgements: planner.feed().ok(),
             tap: None,
             polls: false,
-            config: Some(config.clone()),
+            config: config.clone(),
+            knows_raises: false,
+            refusals_ns: 0,
             planner,
         })
     }
@@ -133,8 +142,15 @@ impl Reading {
         if let Some(tap) = &mut self.tap {
             tap.read(&mut board);
         }
+        if now_ns >= self.refusals_ns {
+            self.refusals_ns = now_ns + REFUSALS_EVERY_NS;
+            board.refused(Refusals::read(&self.config), now_ns);
+        }
         if let Some(Ok(Some(frame))) = self.queries.as_mut().map(consumer::Feed::latest) {
             board.queries = Some(frame.header().counts);
+        }
+        if let Some(Ok(Some(frame))) = self.acknowledgements.as_mut().map(consumer::Feed::latest) {
+            board.acknowledged(frame.robots());
         }
         drop(board);
         if let Some(tick) = tick {
@@ -184,8 +200,9 @@ impl Reading {
             if (diagnosed && budgeted) || now_ns >= give_up_ns {
                 let mut board = borrow();
                 if let Some(diagnostics) = diagnostics {
-                    if let Some(config) = self.config.take() {
-                        board.know_raises(raises(&config, diagnostics.header().worker_epoch));
+                    if !std::mem::replace(&mut self.knows_raises, true) {
+                        let run = diagnostics.header().worker_epoch;
+                        board.know_raises(raises(&self.config, run));
                     }
                     board.diagnostics(diagnostics.robots(), now_ns);
                 }
