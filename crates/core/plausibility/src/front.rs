@@ -117,7 +117,7 @@ impl Default for Said {
 }
 
 /// What is known of it.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mapped {
     /// The values, NaN where they are unknown, in the units of what was said. The charge is a share.
     /// Its time is 0.
