@@ -19,7 +19,7 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
 
     let bad = output(["data", "check", folder]).exits(3);
     let printed = stdout(&bad);
-    assert_contains(&printed, ["gaps: 1 in 1 files", "spoiled.csv: row 50"]);
+    assert_contains(&printed, ["gaps: 1 in 1 files", "spoiled.csv: row 51"]);
     assert!(stderr(&bad).contains("are ignored"), "the config beside them: {}", stderr(&bad));
 
     let report = json(&output(["data", "check", folder, "--format", "json"]));

@@ -177,8 +177,7 @@ impl Trial {
         self.robot_name.as_deref()
     }
 
-    /// The file's row (from 1, without a CSV's header) of row `row` (from 0). It differs from
-    /// `row + 1` if several robots share a file.
+    /// The file's row (from 1, the line of a CSV) of row `row` (from 0).
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }

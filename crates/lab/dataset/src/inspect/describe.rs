@@ -10,7 +10,7 @@ use super::units::{PowerCheck, power_check};
 use crate::split::group_of;
 use crate::trial::{Column, Trial};
 
-/// Description of a trial. SI units. Rows count from 1, a CSV's header not included.
+/// Description of a trial. SI units. Rows count as lines of its file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct TrialReport {
     /// The file.

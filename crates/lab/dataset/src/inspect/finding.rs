@@ -151,8 +151,7 @@ impl fmt::Display for FindingKind {
 pub struct Occurrence {
     /// The file.
     pub file: PathBuf,
-    /// The row in the file, from 1, a CSV's header not included. `None` if it concerns no single
-    /// row.
+    /// The row in the file, from 1. Of a CSV it is the line. `None` if it concerns no single row.
     pub row: Option<usize>,
     /// The column's name in a file.
     pub column: Option<String>,

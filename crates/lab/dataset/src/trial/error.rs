@@ -9,7 +9,7 @@ use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROBOTS, MAX_ROW_BYTES, M
 const LEAVE_OUT: &str = "--whole-rows leaves such lines out (`joulebus data convert --whole-rows` for other programs), or leave the \
                          file out: move it, or name the others";
 
-/// Reason that a trial could not be read. Rows count from 1, the header of a CSV not included.
+/// Reason that a trial could not be read. Rows count from 1, those of a CSV as its lines.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum TrialError {

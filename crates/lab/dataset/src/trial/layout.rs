@@ -52,7 +52,7 @@ pub(super) struct Layout {
     pub(super) day_first: Option<bool>,
     columns: Vec<Wanted>,
     /// Columns with the velocities across those of the table.
-    across: Vec<(Field, usize)>,
+    across: Vec<(Field, Wanted)>,
     /// Position of what says whether the battery charges, and whether numbers in it are those of
     /// ROS's `power_supply_status`.
     charging: Option<(usize, bool)>,
@@ -197,21 +197,26 @@ impl Layout {
                 Source::Constant(_) => Vec::new(),
                 Source::Sum(terms) => terms.iter().flat_map(|term| term.factors.clone()).collect(),
             };
-            let is_speed = matches!(column, Column::V | Column::VMeasured);
-            if let (true, [position], Some(stem)) =
-                (is_speed, &*positions, name.strip_suffix(['x', 'X']))
+            let of_across = match column {
+                Column::V => Some(Field::Vy),
+                Column::VMeasured => Some(Field::VyMeasured),
+                _ => None,
+            };
+            if let (Some(field), [position]) = (of_across, &*positions)
+                && let Some(at) = across_of(&names, *position)
             {
-                let is_across = |other: &String| {
-                    other.strip_suffix(['y', 'Y']) == Some(stem) && *other != names[*position]
+                let source = match source {
+                    Source::WithUnit(_) => Source::WithUnit(at),
+                    _ => Source::Position(at),
                 };
-                let field = if column == Column::V { Field::Vy } else { Field::VyMeasured };
-                across.extend(names.iter().position(is_across).map(|at| (field, at)));
+                across.push((field, Wanted { column, source, factor, name: names[at].clone() }));
+                also_used.push(at);
             }
             also_used.extend(positions);
             columns.push(Wanted { column, source, factor, name: name.clone() });
             sources.push(SourceColumn { column, name, states_unit, is_mapped: map.maps(quantity) });
         }
-        for position in also_used.into_iter().chain(across.iter().map(|(_, at)| *at)) {
+        for position in also_used {
             used[position] = true;
         }
         let charging = charging_column(&names);
@@ -358,8 +363,10 @@ impl Layout {
             }
         }
         let mut said = Said { soc_unit, ..said(&values, self.by_product) };
-        for (across, position) in &self.across {
-            said.set(*across, numbers.parse(field(*position)).unwrap_or(f64::NAN));
+        for (across, wanted) in &self.across {
+            let (value, factor) = self.value(cell, wanted, field, numbers)?;
+            check_value(cell, &wanted.name, wanted.column, value * factor)?;
+            said.set(*across, value * factor);
         }
         let time = times.take(cell, (self.time, &self.time_name), record, numbers)?;
         let robot = match (&self.robot_name, self.robot) {
@@ -502,6 +509,16 @@ pub(super) fn alternates(sample: &[ByteRecord], position: usize) -> bool {
         && words.iter().all(is_id)
         && (2..=MAX_SOURCES).contains(&kinds.len())
         && changes as f64 >= MOST_ALTERNATE * words.len() as f64
+}
+
+/// The column with the part across that of a velocity along: `vy_mmps` beside `vx_mmps`.
+fn across_of(names: &[String], along: usize) -> Option<usize> {
+    let name = &names[along];
+    name.rmatch_indices(['x', 'X']).find_map(|(at, letter)| {
+        let letter = if letter == "x" { "y" } else { "Y" };
+        let across = [&name[..at], letter, &name[at + 1..]].concat();
+        names.iter().position(|other| *other == across)
+    })
 }
 
 /// True if the values of a column have units behind them.

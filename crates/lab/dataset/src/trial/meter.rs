@@ -1,5 +1,6 @@
 //! The bytes of a text: their limits, their beginning, and their end.
 
+use std::collections::VecDeque;
 use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
@@ -28,11 +29,19 @@ pub(super) struct Meter {
     /// Bytes read since the end of the last complete row.
     row_bytes: u64,
     last: u8,
+    /// True if the text goes on after its beginning.
+    pub(super) goes_on: bool,
+    /// Number of the line that was read last, and the ends of lines behind it, in bytes that were
+    /// read. A carriage return ends a line without a newline.
+    pub(super) line: usize,
+    line_ends: VecDeque<u64>,
+    after_return: bool,
 }
 
 impl Meter {
-    /// The text of a file. `zipped`: the bytes are gzip, with the size of the file.
-    pub(super) fn new(source: Box<dyn Read>, zipped: Option<u64>) -> Self {
+    /// The text of a file. `zipped`: the bytes are gzip, with the size of the file. `first_line`:
+    /// the number of its first line.
+    pub(super) fn new(source: Box<dyn Read>, zipped: Option<u64>, first_line: usize) -> Self {
         let (source, allowed): (Box<dyn Read>, u64) = match zipped {
             Some(bytes) => {
                 let allowed = bytes.saturating_mul(MAX_EXPANSION).max(FREE_TEXT_BYTES);
@@ -52,6 +61,10 @@ impl Meter {
             zipped,
             row_bytes: 0,
             last: b'\n',
+            goes_on: false,
+            line: first_line,
+            line_ends: VecDeque::new(),
+            after_return: false,
         }
     }
 
@@ -103,6 +116,7 @@ impl Meter {
             // A header may be longer.
             let is_cut =
                 matches!(&read, Ok(read) if *read as u64 == room) && !self.head.contains(&b'\n');
+            self.goes_on = !matches!(&read, Ok(read) if (*read as u64) < room);
             room = if is_cut { MAX_ROW_BYTES.saturating_sub(self.head.len() as u64) } else { 0 };
             self.failed = read.err();
         }
@@ -117,7 +131,7 @@ impl Meter {
         let Some(end) = end.filter(|end| end + 1 < self.head.len()) else {
             return false;
         };
-        self.head.drain(..=end);
+        self.drop_head(end + 1);
         true
     }
 
@@ -151,8 +165,34 @@ impl Meter {
             }
             self.taken += end + 1;
         }
-        self.head.drain(..self.taken);
+        self.drop_head(self.taken);
         self.taken = 0;
+    }
+
+    fn drop_head(&mut self, bytes: usize) {
+        self.line += self.head.drain(..bytes).filter(|byte| *byte == b'\n').count();
+    }
+
+    /// The number of the line that ends in front of a byte, or with it. Calls are in ascending
+    /// order.
+    pub(super) fn line_before(&mut self, byte: u64) -> usize {
+        while self.line_ends.front().is_some_and(|end| end + 1 < byte) {
+            self.line_ends.pop_front();
+            self.line += 1;
+        }
+        self.line
+    }
+
+    fn note_line_ends(&mut self, read: &[u8]) {
+        for (at, byte) in (self.bytes..).zip(read) {
+            if self.after_return && *byte != b'\n' {
+                self.line_ends.push_back(at - 1);
+            }
+            self.after_return = *byte == b'\r';
+            if *byte == b'\n' {
+                self.line_ends.push_back(at);
+            }
+        }
     }
 
     /// The error of a text after some complete rows.
@@ -200,6 +240,7 @@ impl Read for Meter {
             },
         };
         self.ended = read == 0;
+        self.note_line_ends(&buffer[..read]);
         self.bytes += read as u64;
         self.row_bytes += read as u64;
         if self.is_too_long() {

@@ -4,8 +4,8 @@ use std::fmt;
 
 use super::table::{Column, Columns, LeftOut, is_held, value};
 
-/// Quality notes. Everything noted is kept in the trial. Rows count from 1, the header of a CSV not
-/// included.
+/// Quality notes. Everything noted is kept in the trial. Rows count from 1, those of a CSV as its
+/// lines.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct TrialNotes {
     /// Rows in the file.

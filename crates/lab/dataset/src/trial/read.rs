@@ -100,7 +100,7 @@ impl Table {
             let file_bytes = file.metadata().map_err(io)?.len();
             let zipped = head.starts_with(GZIP_MAGIC).then_some(file_bytes);
             let whole = Cursor::new(head).chain(BufReader::new(file));
-            text::read(path, Box::new(whole), zipped, map, in_memory, take)
+            text::read(path, (Box::new(whole), zipped, 1), map, in_memory, take)
         }
     }
 
@@ -171,7 +171,7 @@ impl Trial {
             }
             ControlFlow::Continue(())
         };
-        text::read(name.as_ref(), Box::new(text), None, map, InMemory::WHOLE, &mut take)?;
+        text::read(name.as_ref(), (Box::new(text), None, 0), map, InMemory::WHOLE, &mut take)?;
         failed.map_or(Ok(trials), Err)
     }
 

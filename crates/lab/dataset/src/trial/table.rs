@@ -301,7 +301,7 @@ impl Table {
         self.timestamp_s.len()
     }
 
-    /// Row of the file that holds row `row` (from 0), from 1, a CSV's header not included.
+    /// Row of the file that holds row `row` (from 0), from 1: the line of a CSV.
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
     }

@@ -16,20 +16,20 @@ use super::table::{Cell, LeftOut, Tables, Take};
 use super::times::Times;
 
 /// Reads the table part by part. `zipped`: the bytes are gzip, with the size of the file.
+/// `first_line`: the number of its first line, 0 of a table that has no file.
 #[expect(clippy::result_large_err, reason = "a bad line ends the reading, or is rare")]
 pub(super) fn read(
     path: &Path,
-    source: Box<dyn Read>,
-    zipped: Option<u64>,
+    (source, zipped, first_line): (Box<dyn Read>, Option<u64>, usize),
     map: &ColumnMap,
     in_memory: InMemory,
     take: &mut Take<'_>,
 ) -> Result<(), TrialError> {
-    let mut rows = Rows::open(path, Meter::new(source, zipped), map)?;
+    let mut rows = Rows::open(path, Meter::new(source, zipped, first_line), map)?;
     let mut kept = Kept::default();
     let mut tables = Tables::default();
     while let Some(next) = rows.next() {
-        let cell = Cell { path, row: rows.row };
+        let cell = Cell { path, row: rows.line };
         let next = next.and_then(|row| {
             let pushed = rows.layout.push(cell, &row, &mut tables);
             pushed.map_err(|error| BadLine::new(cell.row, error))
@@ -135,8 +135,9 @@ struct Rows<'a> {
     understood: Vec<String>,
     separator: u8,
     leaves_out: bool,
-    /// Number of the last line, from 1.
+    /// Number of the last row, from 1, and of its first line in the file.
     row: usize,
+    line: usize,
     has_ended: bool,
 }
 
@@ -148,9 +149,14 @@ impl Iterator for Rows<'_> {
             return None;
         }
         self.reader.get_mut().end_row();
-        let cell = Cell { path: self.path, row: self.row + 1 };
+        let read = self.reader.read_byte_record(&mut self.record);
+        let end = self.reader.position().byte();
+        let within = self.record.as_slice().iter().filter(|byte| **byte == b'\n' && read.is_ok());
+        let line = self.reader.get_mut().line_before(end);
+        self.line = line.saturating_sub(within.count());
+        let cell = Cell { path: self.path, row: self.line };
         let bad = |error| BadLine::new(cell.row, error);
-        match self.reader.read_byte_record(&mut self.record) {
+        match read {
             Ok(false) => return None,
             Ok(true) => self.row += 1,
             Err(error) => {
@@ -162,7 +168,7 @@ impl Iterator for Rows<'_> {
         }
         let cut = self.reader.get_ref().is_cut()
             && (self.leaves_out || self.record.len() < self.header.len());
-        if let Some(what) = self.no_row(cell.row, cut) {
+        if let Some(what) = self.no_row(self.row, cut) {
             let error = TrialError::Line { path: self.path.to_owned(), row: cell.row, what };
             return Some(Err(BadLine { is_header: self.record == self.header, ..bad(error) }));
         }
@@ -178,12 +184,13 @@ impl<'a> Rows<'a> {
         let mut first: Option<Refused> = None;
         // Other programs write what they measured in lines above the header.
         for line in 1..=MAX_HEADER_LINE {
-            match Form::find(path, &meter.head, map) {
+            match Form::find(path, &meter, map) {
                 Ok(Form { separator, layout, numbers, mut understood }) => {
                     if line > 1 {
-                        let what =
-                            format!("its header is line {line}. Those above are passed over");
-                        understood.push(what);
+                        let line = meter.line;
+                        understood.push(format!(
+                            "its header is line {line}. Those above are passed over"
+                        ));
                     }
                     let mut reader = csv(separator).from_reader(meter);
                     let header = match reader.byte_headers() {
@@ -203,6 +210,7 @@ impl<'a> Rows<'a> {
                         separator,
                         leaves_out: map.leaves_out(),
                         row: 0,
+                        line: 0,
                         has_ended: false,
                     });
                 }
@@ -316,13 +324,17 @@ struct Refused {
 impl Form {
     /// Finds the separator with which the first line names what a trial needs.
     #[expect(clippy::result_large_err, reason = "once a file")]
-    fn find(path: &Path, head: &[u8], map: &ColumnMap) -> Result<Self, Refused> {
+    fn find(path: &Path, meter: &Meter, map: &ColumnMap) -> Result<Self, Refused> {
         let mut best: Option<Refused> = None;
         for separator in [b',', b';', b'\t', b'|', b' '] {
-            let mut reader = csv(separator).has_headers(false).from_reader(head);
+            let mut reader = csv(separator).has_headers(false).from_reader(&*meter.head);
             let mut records = reader.byte_records().map_while(Result::ok);
             let header = records.next().unwrap_or_default();
-            let sample: Vec<ByteRecord> = records.take(SAMPLED_ROWS).collect();
+            let mut sample: Vec<ByteRecord> = records.take(SAMPLED_ROWS).collect();
+            if meter.goes_on && sample.len() < SAMPLED_ROWS {
+                // The beginning may end within it.
+                sample.pop();
+            }
             // Words of a sentence are no columns.
             let is_table = !sample.is_empty() && sample.iter().all(|row| row.len() == header.len());
             if separator == b' ' && !is_table {

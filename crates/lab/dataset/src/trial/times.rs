@@ -136,7 +136,7 @@ impl Times {
         name: &str,
         understood: &mut Vec<String>,
     ) -> Result<(), TrialError> {
-        let row = Cell { path, row: 1 };
+        let row = Cell { path, row: tables.first().map_or(1, |table| table.file_row(0)) };
         if self.is_shortened {
             let mut times: Vec<f64> =
                 tables.iter().flat_map(|table| table.timestamp_s.iter().copied()).collect();

@@ -69,7 +69,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     const NAN: f64 = f64::NAN;
     type Fault = (FindingKind, &'static [usize], &'static str, Range<usize>, Spoil);
     let faults: [Fault; 11] = [
-        (TimeRepeated, &[31], "as row 30", 30..260, |row| {
+        (TimeRepeated, &[31], "s, as row", 30..260, |row| {
             row[1] -= 0.1;
         }),
         (Gap, &[31], "0.500 s", 30..260, |row| row[1] += 0.4),
@@ -97,7 +97,7 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
     let mut table = sound(260);
     table[30..].iter_mut().for_each(|row| row[1] -= 0.1);
     table[30][1] -= 0.01;
-    assert_only(TimeBackward, &[31], "before row 30", &table);
+    assert_only(TimeBackward, &[31], "s before row", &table);
     let mut table = sound(260);
     for row in 100..230 {
         let (first, other) = table.split_at_mut(row);
@@ -108,7 +108,8 @@ fn each_fault_is_found_with_its_row_and_nothing_else_is() {
 
 /// The table has this fault at these rows, in words, and no other, in either form.
 fn assert_only(kind: FindingKind, rows: &[usize], words: &str, table: &[[f64; 11]]) {
-    for (name, bytes) in [("spoiled.npy", npy_f8(table)), ("spoiled.csv", csv(table).into_bytes())]
+    for (name, bytes, header) in
+        [("spoiled.npy", npy_f8(table), 0), ("spoiled.csv", csv(table).into_bytes(), 1)]
     {
         let found = check(name, &bytes);
         let others: Vec<_> = faults(&found).into_iter().filter(|fault| fault.0 != kind).collect();
@@ -117,7 +118,8 @@ fn assert_only(kind: FindingKind, rows: &[usize], words: &str, table: &[[f64; 11
         let finding = finding.unwrap_or_else(|| panic!("{kind:?}: {found:?}"));
         assert!(finding.fault && finding.count >= 1 && !found.is_sound());
         let places = finding.places.iter();
-        let at: Vec<usize> = places.clone().filter_map(|place| place.row).collect();
+        let at: Vec<usize> =
+            places.clone().filter_map(|place| Some(place.row? - header)).collect();
         assert_eq!(at, rows, "{kind:?}");
         let message: String = places.map(ToString::to_string).collect();
         assert_contains(&message, [words, name]);
@@ -152,7 +154,7 @@ fn a_file_that_is_not_a_recording_is_a_finding_beside_the_others() {
     assert_eq!(faults(&found), wanted, "{found:?}");
     let unreadable = found.finding(FindingKind::Unreadable).unwrap();
     assert_eq!((unreadable.places.len(), unreadable.files), (2, 3), "the first two of three");
-    assert!(unreadable.places[1].to_string().contains("row 2, column power_mW"), "{unreadable:?}");
+    assert!(unreadable.places[1].to_string().contains("row 3, column power_mW"), "{unreadable:?}");
     let copy = found.finding(FindingKind::Copy).unwrap();
     assert!(copy.places[1].file.ends_with("same.csv"), "{copy:?}");
     assert!(copy.places[1].what.ends_with("b.npy"), "{copy:?}");

@@ -152,21 +152,24 @@ fn several_robots_in_a_file_are_separate_trials_with_the_rows_of_the_file() {
             rows.push(row);
         }
     }
-    for (name, bytes) in [("a.npy", npy_f8(&rows)), ("a.csv", csv(&rows).into_bytes())] {
+    // A CSV has its header in front.
+    for (name, bytes, first) in [("a.npy", npy_f8(&rows), 1), ("a.csv", csv(&rows).into_bytes(), 2)]
+    {
         let path = files.write(name, &bytes);
         let trials = Trial::read_robots(&path).unwrap();
         assert_eq!(trials.len(), 3, "{name}");
         for (robot, trial) in trials.iter().enumerate() {
             assert_eq!(trial.robot_name(), Some(robot.to_string().as_str()));
             assert_eq!(trial.rows(), 20);
-            assert_eq!(trial.file_row(2), 6 + robot + 1);
+            assert_eq!(trial.file_row(2), 6 + robot + first);
             let power_w = trial.column(Column::Power).unwrap()[4];
             assert!((power_w - (3.004 + 0.1 * robot as f64)).abs() < 1e-9);
         }
         let gaps: Vec<usize> = trials[1].notes().gaps.iter().map(|gap| gap.row).collect();
-        assert_eq!(gaps, [32], "the row in the file");
+        assert_eq!(gaps, [31 + first], "the row in the file");
         let refused = Trial::read(&path).unwrap_err();
-        assert!(matches!(refused, TrialError::SecondRobot { row: 2, .. }), "{refused}");
+        let second = format!("row {}: robot", first + 1);
+        assert!(refused.to_string().contains(&second), "{refused}");
     }
 }
 
@@ -179,8 +182,8 @@ fn rows_without_a_robot_are_counted_where_there_is_one_and_refused_where_there_a
     assert_eq!(trial.notes().unnamed_rows, 2);
     assert!(!trial.notes().is_clean());
     for (text, row) in [
-        ("robot_id,timestamp,power_mW\n7,0,1\n8,0,2\n,1,3\n", "row 3"),
-        ("robot_id,timestamp,power_mW\n7,0,1\n,1,2\n8,1,3\n", "row 3"),
+        ("robot_id,timestamp,power_mW\n7,0,1\n8,0,2\n,1,3\n", "row 4"),
+        ("robot_id,timestamp,power_mW\n7,0,1\n,1,2\n8,1,3\n", "row 4"),
     ] {
         let path = files.write("several.csv", text.as_bytes());
         let refused = Trial::read_robots(path).unwrap_err().to_string();

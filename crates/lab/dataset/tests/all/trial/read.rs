@@ -140,11 +140,11 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
         r#"
         no_time.csv | timestamp_s | clock | MissingColumns | timestamp_s, timestamp | robot_id, clock, phase | --map
         twice.csv | v_cmd_mps,omega_cmd_radps | v_cmd_mps,v_cmd | DuplicateColumn | v_cmd_mps | v_cmd
-        word.csv | 3550 | off | Value & row: 3 & "power_mW" | row 3 | power_mW | "off" | a number, NaN, or nothing
-        comma.csv | 100.1 | "100,1" | Value & row: 2 & "timestamp_s" | 100,1
-        inf.csv | 3550 | inf | Value & row: 3 & "power_mW" | "inf" | finite
-        huge.csv | 3550 | 1e300 | Value & row: 3 | finite
-        second.csv | \n7,100.2 | \n8,100.2 | SecondRobot & row: 3 | "8" after robot "7"
+        word.csv | 3550 | off | Value & row: 4 & "power_mW" | row 4 | power_mW | "off" | a number, NaN, or nothing
+        comma.csv | 100.1 | "100,1" | Value & row: 3 & "timestamp_s" | 100,1
+        inf.csv | 3550 | inf | Value & row: 4 & "power_mW" | "inf" | finite
+        huge.csv | 3550 | 1e300 | Value & row: 4 | finite
+        second.csv | \n7,100.2 | \n8,100.2 | SecondRobot & row: 4 | "8" after robot "7"
         "#,
     ) {
         let [name, from, to, error, parts @ ..] = case.as_slice() else {
@@ -156,10 +156,10 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
     for case in cases(
         r#"
         empty.csv |  | Empty | empty
-        late.csv | timestamp,power_mW\n0,1\n1e10,1\n | Value & row: 2 & "timestamp" | 1e10 | 4e9 | --map time_ms=timestamp
-        no_stamp.csv | timestamp,power_mW\n0,1\nNaN,1\n | Value & row: 2 & "timestamp" | NaN
-        short_row.csv | timestamp,power_mW\n0,1\n1\n | FieldCount & row: 2 & found: 1 & expected: 2 | row 2 | 1 fields | has 2
-        long_row.csv | timestamp,power_mW\n0,1\n1,2,3\n | FieldCount & row: 2 & found: 3 & expected: 2
+        late.csv | timestamp,power_mW\n0,1\n1e10,1\n | Value & row: 3 & "timestamp" | 1e10 | 4e9 | --map time_ms=timestamp
+        no_stamp.csv | timestamp,power_mW\n0,1\nNaN,1\n | Value & row: 3 & "timestamp" | NaN
+        short_row.csv | timestamp,power_mW\n0,1\n1\n | FieldCount & row: 3 & found: 1 & expected: 2 | row 3 | 1 fields | has 2
+        long_row.csv | timestamp,power_mW\n0,1\n1,2,3\n | FieldCount & row: 3 & found: 3 & expected: 2
         header_only.csv | timestamp,power_mW\n | NoPeriod & rows: 0 | 0 rows
         one_row.csv | timestamp,power_mW\n0,1\n | NoPeriod & rows: 1 | two rows
         standing.csv | timestamp,power_mW\n0,1\n0,1\n | NoPeriod & rows: 2 | no timestamp advances
@@ -183,7 +183,7 @@ fn malformed_text_is_refused_with_row_column_what_was_found_and_what_is_allowed(
     let parts = ["first line has no names", "ros2 topic echo"];
     refused("no_header.csv", no_header.as_bytes(), "NoHeader", &parts);
     let latin = b"timestamp,power_mW\n0,\xb5\n";
-    refused("latin.csv", latin, "Value & row: 1", &["row 1"]);
+    refused("latin.csv", latin, "Value & row: 2", &["row 2"]);
     refused("t.npz", b"PK\x03\x04\x14\0\0\0\x08\0", "Kind", &["zip"]);
     let array = gzip(&npy_f8(&ROWS));
     refused("array.npy.gz", &array, "Kind", &["decompress"]);
