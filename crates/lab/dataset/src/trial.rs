@@ -27,13 +27,13 @@ mod text;
 mod times;
 mod write;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use joulebus_plausibility::{Known, Observation, Quantity as Judged, TimeUnit, on_charger};
 
 pub use bag::{BagTrial, BagTrialError};
 pub use capture::is_capture;
-pub use error::TrialError;
+pub use error::{Fault, TrialError};
 pub use fleet::{Playback, TrialFleet, TrialFleetError};
 pub use limits::MAX_ROWS;
 pub use names::{ColumnMap, MapError, MappedColumn, Quantity, column_names};
@@ -61,22 +61,10 @@ pub(crate) const JUDGED: [(Judged, Column); 6] = [
 /// One robot's recorded run: at least two rows, in file order, in SI units.
 #[derive(Debug, Clone)]
 pub struct Trial {
-    path: PathBuf,
-    robot_name: Option<String>,
-    file_row: Vec<u32>,
-    timestamp_s: Vec<f64>,
+    /// Its rows, in SI units.
+    table: Table,
     offset_ns: Vec<i64>,
     period_ns: u64,
-    columns: Columns,
-    sources: Vec<SourceColumn>,
-    time_name: Option<String>,
-    states_time_unit: bool,
-    is_turned: bool,
-    is_part: bool,
-    appended: Option<Appended>,
-    apart: Option<String>,
-    /// Rows of the file on the charger, in ascending order.
-    on_charger: Vec<u32>,
     notes: TrialNotes,
 }
 
@@ -101,67 +89,26 @@ impl Trial {
     fn from_si(mut table: Table) -> Result<Self, TrialError> {
         let mut on_charger = std::mem::take(&mut table.on_charger);
         on_charger.retain(|row| table.has_file_row(*row));
-        let Table {
-            path,
-            robot_name,
-            file_row,
-            timestamp_s,
-            mut columns,
-            ignored_columns,
-            no_final_line_break,
-            unnamed_rows,
-            on_charger: _,
-            sources,
-            left_out,
-            understood,
-            time_name,
-            states_time_unit,
-            is_turned,
-            is_part,
-            headers: _,
-            appended,
-            apart,
-        } = table;
-        let by_sign = leave_out_charging(&timestamp_s, &mut columns);
-        on_charger.extend(by_sign.into_iter().filter_map(|row| file_row.get(row).copied()));
+        let by_sign = leave_out_charging(&table.timestamp_s, &mut table.columns);
+        on_charger.extend(by_sign.into_iter().filter_map(|row| table.file_row.get(row).copied()));
         on_charger.sort_unstable();
         on_charger.dedup();
-        for column in &mut columns {
+        table.on_charger = on_charger;
+        for column in &mut table.columns {
             if column.as_ref().is_some_and(|values| values.iter().all(|value| value.is_nan())) {
                 *column = None;
             }
         }
-        let offset_ns = note::offsets_ns(&timestamp_s);
+        let offset_ns = note::offsets_ns(&table.timestamp_s);
         let Some(period_ns) = note::median_step_ns(&offset_ns) else {
-            return Err(TrialError::NoPeriod { path, rows: timestamp_s.len() });
+            let what = format!(
+                "{} rows, and no timestamp advances. A trial needs two rows at increasing times",
+                table.rows()
+            );
+            return Err(TrialError::new(&table.path, Fault::NoPeriod, what));
         };
-        let mut trial = Self {
-            path,
-            robot_name,
-            file_row,
-            timestamp_s,
-            offset_ns,
-            period_ns,
-            columns,
-            sources,
-            time_name,
-            states_time_unit,
-            is_turned,
-            is_part,
-            appended,
-            apart,
-            on_charger,
-            notes: TrialNotes::default(),
-        };
-        trial.notes = TrialNotes {
-            ignored_columns,
-            no_final_line_break,
-            unnamed_rows,
-            left_out,
-            understood,
-            on_charger: trial.on_charger.len(),
-            ..note::take(&trial.offset_ns, period_ns, &trial.columns, |row| trial.file_row(row))
-        };
+        let notes = note::take(&offset_ns, period_ns, &mut table);
+        let mut trial = Self { table, offset_ns, period_ns, notes };
         let charged = (0..trial.rows()).filter(|row| trial.is_on_charger(*row)).count();
         trial.notes.missing_readings -= charged;
         Ok(trial)
@@ -169,27 +116,27 @@ impl Trial {
 
     /// The file that the trial was read from.
     pub fn path(&self) -> &Path {
-        &self.path
+        &self.table.path
     }
 
     /// The robot's name as recorded, if any: text in a CSV, a number in an array.
     pub fn robot_name(&self) -> Option<&str> {
-        self.robot_name.as_deref()
+        self.table.robot_name.as_deref()
     }
 
     /// The file's row (from 1, the line of a CSV) of row `row` (from 0).
     pub fn file_row(&self, row: usize) -> usize {
-        self.file_row.get(row).map_or(row + 1, |row| *row as usize)
+        self.table.file_row(row)
     }
 
     /// Rows. At least two.
     pub fn rows(&self) -> usize {
-        self.timestamp_s.len()
+        self.table.rows()
     }
 
     /// Time of each row as recorded, s. Finite, not always increasing (see [`TrialNotes`]).
     pub fn timestamp_s(&self) -> &[f64] {
-        &self.timestamp_s
+        &self.table.timestamp_s
     }
 
     /// Time of each row after the first one, rounded to whole ns.
@@ -200,13 +147,13 @@ impl Trial {
     /// One value per row in the SI unit of the [`Column`], NaN if it was not recorded. `None` if
     /// the column is missing or all NaN.
     pub fn column(&self, column: Column) -> Option<&[f64]> {
-        self.columns[column as usize].as_deref()
+        self.table.columns[column as usize].as_deref()
     }
 
     /// True if the reading of `row` (from 0) equals the previous row's: power, voltage and current,
     /// to the bit.
     pub fn is_held(&self, row: usize) -> bool {
-        table::is_held(&self.columns, row)
+        table::is_held(&self.table.columns, row)
     }
 
     /// True if the power of `row` (from 0) is unknown because the robot is on its charger: the file
@@ -218,8 +165,7 @@ impl Trial {
 
     /// True if the file says so, or the sign of power over seconds.
     fn is_said_to_charge(&self, row: usize) -> bool {
-        let file_row = u32::try_from(self.file_row(row));
-        file_row.is_ok_and(|row| self.on_charger.binary_search(&row).is_ok())
+        self.table.is_on_charger(row)
     }
 
     /// Median step between rows whose time advances, ns. At least 1.
@@ -229,50 +175,50 @@ impl Trial {
 
     /// The columns of a CSV that were read. Empty for other formats, which state their units.
     pub fn sources(&self) -> &[SourceColumn] {
-        &self.sources
+        &self.table.sources
     }
 
     /// The name of a column in the file.
     pub(crate) fn name_of(&self, column: Column) -> &str {
-        match self.sources.iter().find(|source| source.column == column) {
+        match self.table.sources.iter().find(|source| source.column == column) {
             Some(source) => &source.name,
             // Power of voltage and current has no column.
-            None if column == Column::Power && !self.sources.is_empty() => "power",
+            None if column == Column::Power && !self.table.sources.is_empty() => "power",
             None => column.name(),
         }
     }
 
     /// The name of a CSV's column with the time as a number.
     pub(crate) fn time_name(&self) -> Option<&str> {
-        self.time_name.as_deref()
+        self.table.time_name.as_deref()
     }
 
     /// True if the sign of the current was turned when it was read.
     pub(crate) const fn is_turned(&self) -> bool {
-        self.is_turned
+        self.table.is_turned
     }
 
     /// True if other trials of its file have further rows of the robot, because the file has too
     /// many for one ([`Trial::each`]).
     pub const fn is_part(&self) -> bool {
-        self.is_part
+        self.table.is_part
     }
 
     /// Position of another recording that was appended to its file, if any.
     pub(crate) const fn appended(&self) -> Option<Appended> {
-        self.appended
+        self.table.appended
     }
 
     /// A column of few words by which the rows of its file alternate, as those of several sources.
     pub(crate) fn apart(&self) -> Option<&str> {
-        self.apart.as_deref()
+        self.table.apart.as_deref()
     }
 
     /// Its rows as they are judged: in SI units, with times since the first.
-    pub(crate) fn observations(&self) -> impl Iterator<Item = Observation> + '_ {
+    pub(crate) fn observations(&self) -> impl Iterator<Item = Observation> + Clone + '_ {
         let value = |column, row: usize| self.column(column).map_or(f64::NAN, |values| values[row]);
-        let first_s = self.timestamp_s.first().copied().unwrap_or_default();
-        self.timestamp_s.iter().enumerate().map(move |(row, time_s)| Observation {
+        let first_s = self.table.timestamp_s.first().copied().unwrap_or_default();
+        self.table.timestamp_s.iter().enumerate().map(move |(row, time_s)| Observation {
             v_mps: value(Column::V, row),
             omega_radps: value(Column::Omega, row),
             v_measured_mps: value(Column::VMeasured, row),
@@ -287,15 +233,15 @@ impl Trial {
 
     /// What is known of its readings beforehand: where their units and times are from.
     pub(crate) fn known(&self) -> Known {
-        let time = match (&self.time_name, self.states_time_unit) {
+        let time = match (&self.table.time_name, self.table.states_time_unit) {
             _ if self.is_array() => TimeUnit::Unstated,
             (None, _) => TimeUnit::Certain,
             (Some(_), true) => TimeUnit::Named,
             (Some(_), false) => TimeUnit::Unstated,
         };
-        let mut known = Known::default().whole().timed(time).turned(self.is_turned);
+        let mut known = Known::default().whole().timed(time).turned(self.table.is_turned);
         for (quantity, column) in JUDGED {
-            let source = self.sources.iter().find(|source| source.column == column);
+            let source = self.table.sources.iter().find(|source| source.column == column);
             if source.is_some_and(|source| !source.states_unit) {
                 known = known.unstated(quantity);
             }
@@ -308,7 +254,7 @@ impl Trial {
 
     /// True if its file is an array, whose columns have no names.
     pub(crate) fn is_array(&self) -> bool {
-        self.sources.is_empty() && joulebus_files::ends_in(&self.path, "npy")
+        self.table.sources.is_empty() && joulebus_files::ends_in(&self.table.path, "npy")
     }
 
     /// Quality notes on the trial.
@@ -318,7 +264,7 @@ impl Trial {
 
     /// The value at `row`, if it was recorded.
     fn value(&self, column: Column, row: usize) -> Option<f64> {
-        table::value(&self.columns, column, row)
+        table::value(&self.table.columns, column, row)
     }
 }
 

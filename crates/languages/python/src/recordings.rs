@@ -407,8 +407,7 @@ pub(crate) fn read_trials<'py>(
     let trials = py.detach(|| match name {
         None => Trial::read_mapped(&path, &reading.map),
         Some(name) => {
-            let io = |source| TrialError::Io { path: path.clone(), source };
-            let text = joulebus_files::open(&path).map_err(io)?;
+            let text = joulebus_files::open(&path).map_err(TrialError::io(&path))?;
             Trial::read_text(name, BufReader::new(text), &reading.map)
         }
     });
@@ -559,8 +558,8 @@ pub(crate) fn trial(path: &Path, robot: &str, columns: &Bound<'_, PyDict>) -> Py
 }
 
 pub(crate) fn refused_trial(error: &TrialError) -> PyErr {
-    match error {
-        TrialError::Io { path, source } => of_file(path, source),
-        error => RecordingError::new_err(in_python(&error.to_string())),
+    match error.os_error() {
+        Some(source) => of_file(error.path(), source),
+        None => RecordingError::new_err(in_python(&error.to_string())),
     }
 }

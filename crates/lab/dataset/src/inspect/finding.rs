@@ -10,64 +10,70 @@ use serde::Serialize;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "their names and texts say it")]
 pub enum FindingKind {
-    /// A file that is not a recording.
     Unreadable,
-    /// Same rows as another file.
     Copy,
-    /// A row at the same time as the latest row before it.
     TimeRepeated,
-    /// A row earlier than the latest row before it.
     TimeBackward,
-    /// A step longer than 1.5 median steps.
     Gap,
-    /// A row without a power reading.
     MissingReading,
-    /// A row without a value in a column that has values in other rows.
     MissingValue,
-    /// A value outside the plausible range.
     OutOfRange,
-    /// Power differs from voltage times current.
     PowerMismatch,
-    /// Power or current with the other sign.
     Sign,
-    /// Magnitudes that suggest another unit.
     Unit,
-    /// Times that stand still or go back in many rows.
     Clock,
-    /// A command that applies long after its controller fell silent.
     Hold,
-    /// A mapped column without any value.
     NeverCame,
-    /// A monitor at the end of its range, or one that wraps.
     Saturation,
-    /// Readings that never change.
     Constant,
-    /// A number that stands for no reading.
     Sentinel,
-    /// Readings of two sources in turn.
     Sources,
-    /// A reading that is held far longer than usual.
     Stuck,
-    /// No final newline: the file may be truncated.
     CutOff,
-    /// A line that is no whole row: cut, of NUL bytes, a comment, a second header, units.
     NoRow,
-    /// Rows without a robot name, while others have one.
     UnnamedRow,
-    /// An unknown column.
     UnknownColumn,
-    /// A column that is missing or has no value.
     MissingColumn,
-    /// A constant column.
     ConstantColumn,
-    /// Readings equal to the previous one.
     Held,
-    /// A form of text that is not usual.
     Understood,
-    /// Readings on the charger.
     OnCharger,
 }
+
+/// In the order of [`FindingKind`]: the kind of the judgement, whose finding it may be, whether it
+/// is a fault, and what it is.
+const KINDS: [(Option<Kind>, bool, &str); 28] = [
+    (None, true, "files that are not recordings"),
+    (None, true, "recordings that duplicate another one"),
+    (None, true, "rows with a repeated time"),
+    (None, true, "rows whose time goes back"),
+    (None, true, "gaps"),
+    (None, true, "rows without a power reading"),
+    (None, true, "missing values in recorded columns"),
+    (Some(Kind::Range), true, "values out of range"),
+    (Some(Kind::Mismatch), true, "rows whose power differs from voltage times current"),
+    (Some(Kind::Sign), true, "columns that seem to have the other sign"),
+    (Some(Kind::Unit), true, "columns that seem to be in another unit"),
+    (Some(Kind::Clock), true, "clocks that stand still or go back"),
+    (Some(Kind::Hold), true, "commands that never end"),
+    (Some(Kind::NeverCame), true, "mapped columns without any value"),
+    (Some(Kind::Saturation), true, "monitors at the end of their range"),
+    (Some(Kind::Constant), true, "readings that never change"),
+    (Some(Kind::Sentinel), true, "numbers that stand for no reading"),
+    (Some(Kind::Sources), true, "recordings of several sources in turn"),
+    (None, true, "readings held too long"),
+    (None, true, "files that may be truncated"),
+    (None, true, "lines that are no whole rows"),
+    (None, true, "rows without a robot name"),
+    (None, false, "unknown columns"),
+    (None, false, "columns that are not recorded"),
+    (None, false, "constant columns"),
+    (None, false, "held readings"),
+    (None, false, "forms of text that were recognised"),
+    (None, false, "readings on the charger"),
+];
 
 impl FindingKind {
     /// The finding of a judgement. Values out of range, and power that is not voltage times
@@ -89,60 +95,19 @@ impl FindingKind {
 
     /// True if `--accept` with this kind lets it through.
     pub(super) fn is_of(self, kind: Kind) -> bool {
-        let has_places = matches!(
-            (kind, self),
-            (Kind::Range, Self::OutOfRange) | (Kind::Mismatch, Self::PowerMismatch)
-        );
-        has_places || Self::judged(kind) == Some(self)
+        KINDS[self as usize].0 == Some(kind)
     }
 
     /// True if it is a fault, to be resolved before the recording is used. Other findings are
     /// informative.
     pub const fn is_fault(self) -> bool {
-        !matches!(
-            self,
-            Self::UnknownColumn
-                | Self::MissingColumn
-                | Self::ConstantColumn
-                | Self::Held
-                | Self::Understood
-                | Self::OnCharger
-        )
+        KINDS[self as usize].1
     }
 }
 
 impl fmt::Display for FindingKind {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::Unreadable => "files that are not recordings",
-            Self::Copy => "recordings that duplicate another one",
-            Self::TimeRepeated => "rows with a repeated time",
-            Self::TimeBackward => "rows whose time goes back",
-            Self::Gap => "gaps",
-            Self::MissingReading => "rows without a power reading",
-            Self::MissingValue => "missing values in recorded columns",
-            Self::OutOfRange => "values out of range",
-            Self::PowerMismatch => "rows whose power differs from voltage times current",
-            Self::Sign => "columns that seem to have the other sign",
-            Self::Clock => "clocks that stand still or go back",
-            Self::Hold => "commands that never end",
-            Self::NeverCame => "mapped columns without any value",
-            Self::Saturation => "monitors at the end of their range",
-            Self::Constant => "readings that never change",
-            Self::Sentinel => "numbers that stand for no reading",
-            Self::Sources => "recordings of several sources in turn",
-            Self::Unit => "columns that seem to be in another unit",
-            Self::Stuck => "readings held too long",
-            Self::CutOff => "files that may be truncated",
-            Self::NoRow => "lines that are no whole rows",
-            Self::Understood => "forms of text that were recognised",
-            Self::OnCharger => "readings on the charger",
-            Self::UnnamedRow => "rows without a robot name",
-            Self::UnknownColumn => "unknown columns",
-            Self::MissingColumn => "columns that are not recorded",
-            Self::ConstantColumn => "constant columns",
-            Self::Held => "held readings",
-        })
+        out.write_str(KINDS[*self as usize].2)
     }
 }
 

@@ -15,10 +15,10 @@ use std::sync::Arc;
 use joulebus_capture_format::{Frame, ReadError, Reader};
 use joulebus_wire::{Sample, Samples, sample_flag as flag};
 
-use super::TrialError;
+use super::error::{Fault, TrialError};
 use super::layout::{mapped, said};
 use super::limits::{InMemory, MCAP_MAGIC};
-use super::table::{Cell, Column, Table, Take, check_value};
+use super::table::{Cell, Column, Table, Take, check_value, too_many_rows};
 
 /// Bytes within which the first record of a capture names its writer.
 const HEAD_BYTES: u64 = 64;
@@ -52,7 +52,7 @@ pub(super) fn read(
     in_memory: InMemory,
     take: &mut Take<'_>,
 ) -> Result<(), TrialError> {
-    let refused = |detail: String| TrialError::Capture { path: path.to_owned(), detail };
+    let refused = |detail: String| TrialError::new(path, Fault::Capture, detail);
     let mut store = collect(path, in_memory)?;
     let several_fleets = {
         let mut fleets: Vec<&str> = store.robots.keys().map(|robot| robot.0.as_ref()).collect();
@@ -89,7 +89,7 @@ pub(super) fn read(
 
 /// Sorts the samples of a capture by run.
 fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
-    let refused = |detail: String| TrialError::Capture { path: path.to_owned(), detail };
+    let refused = |detail: String| TrialError::new(path, Fault::Capture, detail);
     let failed = |error: ReadError| refused(error.to_string());
     let mut reader = Reader::open(path).map_err(failed)?;
     let mut store = Store::default();
@@ -114,10 +114,7 @@ fn collect(path: &Path, in_memory: InMemory) -> Result<Store, TrialError> {
             }
             store.push(run, sample).map_err(|error| refused(spilled(&error)))?;
             if store.runs[run].rows > in_memory.max_rows {
-                return Err(TrialError::TooManyRows {
-                    path: path.to_owned(),
-                    allowed: in_memory.max_rows,
-                });
+                return Err(too_many_rows(path, in_memory.max_rows));
             }
         }
     }

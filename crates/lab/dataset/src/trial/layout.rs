@@ -6,7 +6,7 @@ use csv::ByteRecord;
 use joulebus_plausibility::moment::{self, TimeForm};
 use joulebus_plausibility::{Field, PowerOf, Said, charging_of_text};
 
-use super::TrialError;
+use super::error::{Fault, TrialError};
 use super::names::{ColumnMap, Found, Quantity, Term, accepted, is_bare, unit_factor};
 use super::numbers::{Numbers, is_missing, with_unit};
 use super::table::{Cell, Column, SourceColumn, Table, Tables, check_value};
@@ -68,6 +68,23 @@ pub(super) struct Layout {
     apart: Option<String>,
 }
 
+/// A header that has not what a trial needs: whether it lacks the time, and power, if it is that.
+pub(super) struct Lacking {
+    pub(super) error: TrialError,
+    pub(super) lacks: Option<[bool; 2]>,
+}
+
+impl From<TrialError> for Lacking {
+    fn from(error: TrialError) -> Self {
+        Self { error, lacks: None }
+    }
+}
+
+/// The first of some names.
+fn begun(names: &[String]) -> String {
+    names.join(", ").chars().take(400).collect()
+}
+
 /// Fields of the columns of which [`Said`] decides.
 const SAID: [(Column, Field); 8] = [
     (Column::V, Field::V),
@@ -115,14 +132,22 @@ impl Layout {
         header: &ByteRecord,
         sample: &[ByteRecord],
         map: &ColumnMap,
-    ) -> Result<Self, TrialError> {
+    ) -> Result<Self, Lacking> {
         let names = header
             .iter()
             .map(|name| String::from_utf8_lossy(name).into_owned())
             .collect::<Vec<_>>();
         if !names.is_empty() && names.iter().all(|name| name.parse::<f64>().is_ok()) {
-            let found = names.join(", ").chars().take(400).collect();
-            return Err(TrialError::NoHeader { path: path.to_owned(), found });
+            return Err(Lacking::from(TrialError::new(
+                path,
+                Fault::NoHeader,
+                format!(
+                    "the first line has no names, but {}. Put a line with the names of the columns \
+                     in front, such as timestamp_s,voltage_V,current_A (`ros2 topic echo --csv` \
+                     writes none)",
+                    begun(&names)
+                ),
+            )));
         }
         let map = map.of_file(&names);
         let pairs = map.time_pairs(&names);
@@ -133,20 +158,20 @@ impl Layout {
         });
         let absent: Vec<String> =
             absent.map(|(quantity, name)| format!("{quantity}={name}")).collect();
-        let lacking = |missing: String, lacks| TrialError::MissingColumns {
-            path: path.to_owned(),
-            missing,
-            found: names.join(", ").chars().take(400).collect(),
-            lacks,
-            suggestion: String::new(),
+        let lacking = |missing: String, lacks| {
+            let what = format!("no column for {missing}, found {}", begun(&names));
+            let error = TrialError::new(path, Fault::MissingColumns, what);
+            Lacking { error, lacks: Some(lacks) }
         };
         if !absent.is_empty() {
             return Err(lacking(format!("mapped: {}", absent.join(", ")), [true; 2]));
         }
-        let twice = |first: usize, second: usize| TrialError::DuplicateColumn {
-            path: path.to_owned(),
-            first: names[first].clone(),
-            second: names[second].clone(),
+        let twice = |first: usize, second: usize| {
+            let what = format!(
+                "columns {} and {} are synonyms. Keep one, or name it with --map",
+                names[first], names[second]
+            );
+            TrialError::new(path, Fault::DuplicateColumn, what)
         };
         let mut used = vec![false; names.len()];
         let mut find = |quantity| match map.positions(quantity, &names).as_slice() {
@@ -242,8 +267,10 @@ impl Layout {
                 let index = index_with_times(&names, sample);
                 (index.map(TimeColumns::One), "the first column".to_owned())
             }
-            ([first, second, ..], _) => return Err(twice(first.position, second.position)),
-            ([], [(first, ..), (second, ..), ..]) => return Err(twice(*first, *second)),
+            ([first, second, ..], _) => {
+                return Err(twice(first.position, second.position).into());
+            }
+            ([], [(first, ..), (second, ..), ..]) => return Err(twice(*first, *second).into()),
         };
         let mut day_first = None;
         match &time {
@@ -275,11 +302,12 @@ impl Layout {
             };
             let current = current.or(names.iter().find(is_i).map(String::as_str));
             if let Some(beside) = current {
-                return Err(TrialError::SpeedOrVoltage {
-                    path: path.to_owned(),
-                    column: speed.name.clone(),
-                    beside: beside.to_owned(),
-                });
+                let column = &speed.name;
+                let what = format!(
+                    "column {column} beside {beside} can be a speed or a voltage. Name it: \
+                     --map v_mps={column}, or --map voltage_V={column}"
+                );
+                return Err(TrialError::new(path, Fault::SpeedOrVoltage, what).into());
             }
         }
         let by_product = !has(Column::Power) && has(Column::Voltage) && has(Column::Current);
@@ -340,12 +368,8 @@ impl Layout {
             found => found,
         };
         if fields != self.fields {
-            return Err(TrialError::FieldCount {
-                path: cell.path.to_owned(),
-                row: cell.row,
-                found: fields,
-                expected: self.fields,
-            });
+            let what = format!("found {fields} fields, the header has {}", self.fields);
+            return Err(TrialError::new(cell.path, Fault::FieldCount, what).in_row(cell.row));
         }
         let field = |position: usize| {
             let is_behind = matches!(self.time, TimeColumns::Split(time) if position > time);

@@ -7,7 +7,7 @@ use std::path::Path;
 use flate2::bufread::MultiGzDecoder;
 use joulebus_files::foreign;
 
-use super::TrialError;
+use super::error::{Fault, TrialError};
 use super::limits::{FREE_TEXT_BYTES, MAX_EXPANSION, MAX_ROW_BYTES, MAX_TEXT_BYTES};
 
 /// Bytes in which the form of a text is looked for.
@@ -76,14 +76,14 @@ impl Meter {
                 true => format!("{} in gzip (decompress it first)", foreign.what),
                 false => foreign.to_string(),
             };
-            return Err(TrialError::Kind { path: path.to_owned(), found });
+            return Err(of_another_kind(path, &found));
         }
         let is_line = self.head.contains(&b'\n');
         if let (Some(error), false) = (self.failed.take_if(|_| !is_line), is_line) {
             return Err(self.explain(path, 0, error.into()));
         }
         if self.head.len() as u64 >= MAX_ROW_BYTES && !is_line {
-            return Err(TrialError::RowTooLong { path: path.to_owned(), rows: 0 });
+            return Err(row_too_long(path, 0));
         }
         self.drop_preamble();
         Ok(())
@@ -197,14 +197,22 @@ impl Meter {
 
     /// The error of a text after some complete rows.
     pub(super) fn explain(&self, path: &Path, rows: usize, error: csv::Error) -> TrialError {
-        let (path, allowed) = (path.to_owned(), self.allowed);
+        let allowed = self.allowed;
         match self.zipped {
             _ if !self.is_too_long() => {}
-            _ if self.bytes <= allowed => return TrialError::RowTooLong { path, rows },
+            _ if self.bytes <= allowed => return row_too_long(path, rows),
             Some(found) if allowed < MAX_TEXT_BYTES => {
-                return TrialError::Expands { path, found, allowed };
+                let what = format!(
+                    "more than {allowed} bytes of text in {found} bytes of gzip, allowed are \
+                     {MAX_EXPANSION} for each, and {FREE_TEXT_BYTES} in any case. Decompress it \
+                     first"
+                );
+                return TrialError::new(path, Fault::Expands, what);
             }
-            _ => return TrialError::TooLong { path },
+            _ => {
+                let what = format!("more than {MAX_TEXT_BYTES} bytes of text. Split the recording");
+                return TrialError::new(path, Fault::TooLong, what);
+            }
         }
         let is_zipped = self.zipped.is_some();
         let source = match error.into_kind() {
@@ -213,17 +221,39 @@ impl Meter {
             other => io::Error::other(format!("{other:?}")),
         };
         match source.kind() {
-            ErrorKind::UnexpectedEof if is_zipped => TrialError::Truncated {
-                path,
-                missing: "the gzip stream has no end".to_owned(),
-                rows,
-            },
-            ErrorKind::InvalidInput | ErrorKind::InvalidData if is_zipped => {
-                TrialError::Gzip { path, rows, detail: source.to_string() }
+            ErrorKind::UnexpectedEof if is_zipped => {
+                truncated(path, "the gzip stream has no end", rows)
             }
-            _ => TrialError::Io { path, source },
+            ErrorKind::InvalidInput | ErrorKind::InvalidData if is_zipped => {
+                let what = format!("damaged gzip data after {rows} complete rows: {source}");
+                TrialError::new(path, Fault::Gzip, what)
+            }
+            _ => TrialError::io(path)(source),
         }
     }
+}
+
+/// A file that ends too early.
+pub(super) fn truncated(path: &Path, missing: &str, rows: usize) -> TrialError {
+    let what = format!(
+        "truncated: {missing} after {rows} complete rows. Copy the file again, or leave it out of \
+         the command"
+    );
+    TrialError::new(path, Fault::Truncated, what)
+}
+
+/// A file of another format, and how it is converted.
+pub(super) fn of_another_kind(path: &Path, found: &str) -> TrialError {
+    let what = format!(
+        "found {found}, expected a .npy array of shape (n, 11), a CSV, plain or .gz, or a capture \
+         (.mcap)"
+    );
+    TrialError::new(path, Fault::Kind, what)
+}
+
+fn row_too_long(path: &Path, rows: usize) -> TrialError {
+    let what = format!("more than {MAX_ROW_BYTES} bytes in the row after {rows} whole rows");
+    TrialError::new(path, Fault::RowTooLong, what)
 }
 
 impl Read for Meter {

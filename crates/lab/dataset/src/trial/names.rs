@@ -1,9 +1,9 @@
 //! Names of columns in a CSV: the published layout's, usual spellings in several units, and those
 //! that the caller maps.
 
-use std::f64::consts::PI;
 use std::fmt;
 use std::str::FromStr;
+use std::sync::LazyLock;
 
 use super::limits::{InMemory, MAX_ROWS};
 use super::table::{CHARGING_NAME, Column, ROBOT_NAMES, TIME_NAMES, Table};
@@ -27,164 +27,67 @@ struct Spelling {
     /// Its name in [`ColumnMap`] and in messages.
     name: &'static str,
     /// The names of the published layout, which take precedence.
-    layout: &'static [&'static str],
+    layout: Vec<&'static str>,
     /// Other names, in lower case, without the unit.
-    others: &'static [&'static str],
-    /// Units in lower case with the factor to the layout's unit. The first one applies to a mapped
-    /// column without a unit in its name, "" to a name without a unit.
-    units: &'static [(&'static str, f64)],
+    others: Vec<&'static str>,
+    /// Units in lower case, with the factor to the layout's unit, and as they are shown. The first
+    /// one applies to a mapped column without a unit in its name, "" to a name without a unit.
+    units: Vec<(String, f64, &'static str)>,
 }
 
 const fn of(column: Column) -> Quantity {
     Quantity::Column(column)
 }
 
-const MPS: &[(&str, f64)] =
-    &[("mps", 1.0), ("m_s", 1.0), ("mmps", 1e-3), ("cmps", 1e-2), ("", 1.0)];
-const RADPS: &[(&str, f64)] = &[("radps", 1.0), ("rad_s", 1.0), ("degps", PI / 180.0), ("", 1.0)];
-const METRE: &[(&str, f64)] = &[("m", 1.0), ("", 1.0)];
+/// Every quantity: its name, those of the layout, others, and units. The units of voltage, current
+/// and power have to be in the name, except where the layout's names have none.
+const NAMES: &str = "\
+robot|robot_id|robot robot_name|=1
+time|timestamp_s timestamp|time t stamp timestamp elapsed datetime date_time time_stamp\
+    |s=1 sec=1 seconds=1 ms=1e-3 us=1e-6 ns=1e-9 min=60 h=3600 d=86400 =1
+power|power_mW|power p pwr electrical_power|W=1e3 mW=1 kW=1e6 uW=1e-3
+v|v_cmd_mps v_cmd|v vx linear_velocity v_linear cmd_v linear_x cmd_vel_linear_x\
+    |mps=1 m_s=1 mmps=1e-3 cmps=1e-2 =1
+omega|omega_cmd_radps omega_cmd\
+    |omega w wz w_cmd angular_velocity omega_z cmd_omega angular_z cmd_vel_angular_z yaw_rate\
+    |radps=1 rad_s=1 degps=0.017453292519943295 =1
+voltage|voltage_mV voltage|voltage battery_voltage bus_voltage|V=1e3 mV=1 uV=1e-3 cV=10
+current|current_mA current|current battery_current bus_current|A=1e3 mA=1 uA=1e-3 cA=10
+v_meas|v_meas_mps v_meas|v_measured measured_v odom_v|mps=1 m_s=1 mmps=1e-3 cmps=1e-2 =1
+omega_meas|omega_meas_radps omega_meas|omega_measured measured_omega odom_omega\
+    |radps=1 rad_s=1 degps=0.017453292519943295 =1
+soc|soc|soc state_of_charge battery_soc|percent=0.01 pct=0.01 share=1 =1
+x|x_m x|pos_x position_x|m=1 =1
+y|y_m y|pos_y position_y|m=1 =1
+theta|theta_rad theta|heading yaw|rad=1 =1
+phase|phase||=1";
 
-/// Every quantity. The units of voltage, current and power have to be in the name, except where
-/// the layout's names have none.
-const SPELLINGS: [Spelling; 14] = [
-    Spelling {
-        quantity: Quantity::Robot,
-        name: "robot",
-        layout: &["robot_id"],
-        others: &["robot", "robot_name"],
-        units: &[("", 1.0)],
-    },
-    Spelling {
-        quantity: Quantity::Time,
-        name: "time",
-        layout: &["timestamp_s", "timestamp"],
-        others: &[
-            "time",
-            "t",
-            "stamp",
-            "timestamp",
-            "elapsed",
-            "datetime",
-            "date_time",
-            "time_stamp",
-        ],
-        units: &[
-            ("s", 1.0),
-            ("sec", 1.0),
-            ("seconds", 1.0),
-            ("ms", 1e-3),
-            ("us", 1e-6),
-            ("ns", 1e-9),
-            ("min", 60.0),
-            ("h", 3_600.0),
-            ("d", 86_400.0),
-            ("", 1.0),
-        ],
-    },
-    Spelling {
-        quantity: of(Column::Power),
-        name: "power",
-        layout: &["power_mW"],
-        others: &["power", "p", "pwr", "electrical_power"],
-        units: &[("w", 1e3), ("mw", 1.0), ("kw", 1e6), ("uw", 1e-3)],
-    },
-    Spelling {
-        quantity: of(Column::V),
-        name: "v",
-        layout: &["v_cmd_mps", "v_cmd"],
-        others: &[
-            "v",
-            "vx",
-            "linear_velocity",
-            "v_linear",
-            "cmd_v",
-            "linear_x",
-            "cmd_vel_linear_x",
-        ],
-        units: MPS,
-    },
-    Spelling {
-        quantity: of(Column::Omega),
-        name: "omega",
-        layout: &["omega_cmd_radps", "omega_cmd"],
-        others: &[
-            "omega",
-            "w",
-            "wz",
-            "w_cmd",
-            "angular_velocity",
-            "omega_z",
-            "cmd_omega",
-            "angular_z",
-            "cmd_vel_angular_z",
-            "yaw_rate",
-        ],
-        units: RADPS,
-    },
-    Spelling {
-        quantity: of(Column::Voltage),
-        name: "voltage",
-        layout: &["voltage_mV", "voltage"],
-        others: &["voltage", "battery_voltage", "bus_voltage"],
-        units: &[("v", 1e3), ("mv", 1.0), ("uv", 1e-3), ("cv", 10.0)],
-    },
-    Spelling {
-        quantity: of(Column::Current),
-        name: "current",
-        layout: &["current_mA", "current"],
-        others: &["current", "battery_current", "bus_current"],
-        units: &[("a", 1e3), ("ma", 1.0), ("ua", 1e-3), ("ca", 10.0)],
-    },
-    Spelling {
-        quantity: of(Column::VMeasured),
-        name: "v_meas",
-        layout: &["v_meas_mps", "v_meas"],
-        others: &["v_measured", "measured_v", "odom_v"],
-        units: MPS,
-    },
-    Spelling {
-        quantity: of(Column::OmegaMeasured),
-        name: "omega_meas",
-        layout: &["omega_meas_radps", "omega_meas"],
-        others: &["omega_measured", "measured_omega", "odom_omega"],
-        units: RADPS,
-    },
-    Spelling {
-        quantity: of(Column::Soc),
-        name: "soc",
-        layout: &["soc"],
-        others: &["soc", "state_of_charge", "battery_soc"],
-        units: &[("percent", 0.01), ("pct", 0.01), ("share", 1.0), ("", 1.0)],
-    },
-    Spelling {
-        quantity: of(Column::X),
-        name: "x",
-        layout: &["x_m", "x"],
-        others: &["pos_x", "position_x"],
-        units: METRE,
-    },
-    Spelling {
-        quantity: of(Column::Y),
-        name: "y",
-        layout: &["y_m", "y"],
-        others: &["pos_y", "position_y"],
-        units: METRE,
-    },
-    Spelling {
-        quantity: of(Column::Theta),
-        name: "theta",
-        layout: &["theta_rad", "theta"],
-        others: &["heading", "yaw"],
-        units: &[("rad", 1.0), ("", 1.0)],
-    },
-    Spelling {
-        quantity: of(Column::Phase),
-        name: "phase",
-        layout: &["phase"],
-        others: &[],
-        units: &[("", 1.0)],
-    },
-];
+static SPELLINGS: LazyLock<Vec<Spelling>> = LazyLock::new(|| {
+    let spelling = |line: &'static str| {
+        let mut parts = line.split('|').map(str::trim);
+        let mut next = || parts.next().unwrap_or_default();
+        let (name, layout, others, units) = (next(), next(), next(), next());
+        let layout: Vec<&str> = layout.split(' ').collect();
+        let column = Column::ALL.into_iter().find(|column| column.name() == layout[0]);
+        let unit = |text: &'static str| {
+            let (unit, factor) = text.split_once('=').unwrap_or_default();
+            // A test reads the table.
+            (unit.to_lowercase(), factor.parse().unwrap_or(f64::NAN), unit)
+        };
+        Spelling {
+            quantity: match column {
+                Some(column) => of(column),
+                None if name == "robot" => Quantity::Robot,
+                None => Quantity::Time,
+            },
+            name,
+            layout,
+            others: others.split(' ').filter(|other| !other.is_empty()).collect(),
+            units: units.split(' ').map(unit).collect(),
+        }
+    };
+    NAMES.lines().map(spelling).collect()
+});
 
 fn spelling(quantity: Quantity) -> &'static Spelling {
     let found = SPELLINGS.iter().find(|spelling| spelling.quantity == quantity);
@@ -200,10 +103,10 @@ impl Spelling {
             return None;
         }
         let name = plain(name);
-        self.units.iter().find_map(|(unit, factor)| {
+        self.units.iter().find_map(|(unit, factor, _)| {
             let bare = match unit.is_empty() {
                 true => name.as_str(),
-                false => name.strip_suffix(unit)?.strip_suffix('_')?,
+                false => name.strip_suffix(unit.as_str())?.strip_suffix('_')?,
             };
             let found = self.others.contains(&bare);
             found.then_some((*factor, !unit.is_empty()))
@@ -213,11 +116,12 @@ impl Spelling {
     /// The factor of a mapped column, by the unit at the end of its name, and whether that has one.
     fn mapped_factor(&self, name: &str) -> (f64, bool) {
         let name = plain(name);
-        let by_unit = self.units.iter().find(|(unit, _)| {
-            !unit.is_empty() && name.strip_suffix(unit).is_some_and(|rest| rest.ends_with('_'))
+        let by_unit = self.units.iter().find(|(unit, ..)| {
+            let rest = name.strip_suffix(unit.as_str());
+            !unit.is_empty() && rest.is_some_and(|rest| rest.ends_with('_'))
         });
         let factor = by_unit.or(self.units.first());
-        (factor.map_or(1.0, |(_, factor)| *factor), by_unit.is_some())
+        (factor.map_or(1.0, |(_, factor, _)| *factor), by_unit.is_some())
     }
 }
 
@@ -345,14 +249,14 @@ impl FromStr for MappedColumn {
                 false => Err(form()),
             };
         }
-        for spelling in &SPELLINGS {
+        for spelling in SPELLINGS.iter() {
             let (factor, states_unit) = if wanted == spelling.name {
                 spelling.mapped_factor(name)
             } else {
                 let unit =
                     wanted.strip_prefix(spelling.name).and_then(|rest| rest.strip_prefix('_'));
-                match spelling.units.iter().find(|(name, _)| Some(*name) == unit) {
-                    Some((_, factor)) => (*factor, true),
+                match spelling.units.iter().find(|(name, ..)| Some(name.as_str()) == unit) {
+                    Some((_, factor, _)) => (*factor, true),
                     None => continue,
                 }
             };
@@ -375,7 +279,8 @@ impl FromStr for MappedColumn {
         }
         Err(MapError::Quantity {
             found: quantity.to_owned(),
-            allowed: SPELLINGS.map(|spelling| spelling.name).join(", ") + ", missing",
+            allowed: SPELLINGS.iter().map(|one| one.name).collect::<Vec<_>>().join(", ")
+                + ", missing",
         })
     }
 }
@@ -678,8 +583,8 @@ fn is_converted(names: &[String]) -> bool {
 /// The factor to the layout's unit of a unit behind a number.
 pub(super) fn unit_factor(column: Column, unit: &str) -> Option<f64> {
     let unit = if unit == "%" { "percent" } else { &unit.to_lowercase() };
-    let mut units = spelling(of(column)).units.iter().filter(|(name, _)| !name.is_empty());
-    units.find(|(name, _)| *name == unit).map(|(_, factor)| *factor)
+    let mut units = spelling(of(column)).units.iter().filter(|(name, ..)| !name.is_empty());
+    units.find(|(name, ..)| name == unit).map(|(_, factor, _)| *factor)
 }
 
 /// True for a usual name of a column that states no unit.
@@ -708,45 +613,26 @@ pub(crate) fn command_option(name: &str, reads_v: bool, reads_omega: bool) -> Op
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {
     let spelling = spelling(quantity);
-    let unit = spelling.units.first().map_or("", |(unit, _)| unit);
+    let unit = spelling.units.first().map_or("", |(.., shown)| shown);
     let mut names: Vec<String> = spelling.layout.iter().map(|name| (*name).to_owned()).collect();
     if let (Some(other), false) = (spelling.others.first(), unit.is_empty()) {
-        names.push(format!("{other}_{}", shown(unit)));
+        names.push(format!("{other}_{unit}"));
     }
     format!("{} ({}, …)", spelling.name, names.join(", "))
-}
-
-/// The usual case of a unit.
-fn shown(unit: &str) -> &str {
-    match unit {
-        "w" => "W",
-        "mw" => "mW",
-        "kw" => "kW",
-        "uw" => "uW",
-        "v" => "V",
-        "mv" => "mV",
-        "uv" => "uV",
-        "a" => "A",
-        "ma" => "mA",
-        "ua" => "uA",
-        "cv" => "cV",
-        "ca" => "cA",
-        unit => unit,
-    }
 }
 
 /// The table of accepted names, one line for each quantity.
 pub fn column_names() -> String {
     let mut table = String::new();
-    for Spelling { name, layout, others, units, .. } in &SPELLINGS {
+    for Spelling { name, layout, others, units, .. } in SPELLINGS.iter() {
         let listed: Vec<&str> =
-            units.iter().map(|(unit, _)| shown(unit)).filter(|unit| !unit.is_empty()).collect();
+            units.iter().map(|(.., shown)| *shown).filter(|unit| !unit.is_empty()).collect();
         let mut line = format!("  {name:10} {}", layout.join(" "));
         if !others.is_empty() {
             line.push_str(&format!("; {}", others.join(" ")));
         }
         if !listed.is_empty() {
-            let bare = units.iter().any(|(unit, _)| unit.is_empty());
+            let bare = units.len() > listed.len();
             let with = if bare { ", also with" } else { ", with" };
             line.push_str(&format!("{with} _{}", listed.join(" _")));
         }
@@ -773,6 +659,7 @@ mod tests {
     fn every_column_has_its_spellings_and_the_layout_its_names() {
         for column in Column::ALL {
             let spelling = spelling(of(column));
+            assert!(spelling.units.iter().all(|(_, factor, _)| *factor > 0.0));
             assert_eq!(spelling.quantity, of(column));
             assert_eq!(spelling.layout[0], column.name());
         }
@@ -839,7 +726,7 @@ mod tests {
             ("v_mmps=a", 1e-3),
             ("v_cmps=a", 1e-2),
             ("v=a_mmps", 1e-3),
-            ("omega_degps=a", PI / 180.0),
+            ("omega_degps=a", std::f64::consts::PI / 180.0),
         ] {
             let mapped: MappedColumn = mapping.parse().expect(mapping);
             assert_eq!(mapped.factor, factor, "{mapping}");

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::table::{Column, Columns, LeftOut, is_held, value};
+use super::table::{Column, LeftOut, Table, is_held, value};
 
 /// Quality notes. Everything noted is kept in the trial. Rows count from 1, those of a CSV as its
 /// lines.
@@ -139,20 +139,22 @@ pub(super) fn median_step_ns(offset_ns: &[i64]) -> Option<u64> {
     Some(*steps.select_nth_unstable(middle).1)
 }
 
-/// The notes that follow from the table itself. `file_row` maps a row to the file's row.
-pub(super) fn take(
-    offset_ns: &[i64],
-    period_ns: u64,
-    columns: &Columns,
-    file_row: impl Fn(usize) -> usize,
-) -> TrialNotes {
+/// The notes on a table in SI units: those on its file are taken from it.
+pub(super) fn take(offset_ns: &[i64], period_ns: u64, table: &mut Table) -> TrialNotes {
     let mut notes = TrialNotes {
         rows: offset_ns.len(),
         rate_hz: 1e9 / period_ns as f64,
+        ignored_columns: std::mem::take(&mut table.ignored_columns),
+        no_final_line_break: table.no_final_line_break,
+        unnamed_rows: table.unnamed_rows,
+        left_out: std::mem::take(&mut table.left_out),
+        understood: std::mem::take(&mut table.understood),
+        on_charger: table.on_charger.len(),
         ..TrialNotes::default()
     };
+    let columns = &table.columns;
     for (before, step_ns) in steps_ns(offset_ns).enumerate() {
-        let row = file_row(before + 1);
+        let row = table.file_row(before + 1);
         match u64::try_from(step_ns) {
             Err(_) | Ok(0) => notes.not_advancing.push(row),
             Ok(length_ns) if length_ns > period_ns + period_ns / 2 => {

@@ -6,10 +6,12 @@ use std::path::Path;
 
 use crate::npy::{Header, HeaderError};
 
+use super::ColumnMap;
+use super::error::{Fault, TrialError};
 use super::layout::{mapped, said};
 use super::limits::InMemory;
+use super::meter::{of_another_kind, truncated};
 use super::table::{Cell, Column, LeftOut, Tables, Take, check_value};
-use super::{ColumnMap, TrialError};
 
 const WIDTH: usize = 11;
 const ROBOT: usize = 0;
@@ -44,18 +46,17 @@ pub(super) fn read(
         };
         let missing = format!("{missing} missing");
         if header.fortran_order || rows < 2 || !map.leaves_out() {
-            return Err(TrialError::Truncated { path: path.to_owned(), missing, rows });
+            return Err(truncated(path, &missing, rows));
         }
         left_out.add(rows + 1, missing);
         left_out.lines = stated_rows - rows;
     }
     if file_bytes > expected_bytes {
-        return Err(TrialError::TrailingBytes {
-            path: path.to_owned(),
-            rows,
-            found_bytes: file_bytes,
-            expected_bytes,
-        });
+        let what = format!(
+            "{file_bytes} bytes, but the header's {rows} rows end at {expected_bytes}. Another file \
+             may have been appended"
+        );
+        return Err(TrialError::new(path, Fault::TrailingBytes, what));
     }
     let missing = map.missing();
     let mut tables = Tables::default();
@@ -106,38 +107,45 @@ pub(super) fn read(
 }
 
 fn refused(path: &Path, error: HeaderError) -> TrialError {
-    let path = path.to_owned();
     match error {
-        HeaderError::Io(source) => TrialError::Io { path, source },
-        HeaderError::Truncated { .. } => {
-            TrialError::Truncated { path, missing: error.to_string(), rows: 0 }
+        HeaderError::Io(source) => TrialError::io(path)(source),
+        HeaderError::Truncated { .. } => truncated(path, &error.to_string(), 0),
+        HeaderError::Magic => of_another_kind(path, "a file named .npy that is not a NumPy array"),
+        HeaderError::Records => of_type(path, "record"),
+        HeaderError::Shape { found } => of_shape(path, &found),
+        HeaderError::Malformed { detail, .. } => {
+            TrialError::new(path, Fault::NpyHeader, format!("array header: {detail}"))
         }
-        HeaderError::Magic => TrialError::Kind {
-            path,
-            found: "a file named .npy that is not a NumPy array".to_owned(),
-        },
-        HeaderError::Records => TrialError::ElementType { path, found: "record".to_owned() },
-        HeaderError::Shape { found } => TrialError::Shape { path, found },
-        HeaderError::Malformed { detail, .. } => TrialError::NpyHeader { path, detail },
     }
+}
+
+fn of_type(path: &Path, found: &str) -> TrialError {
+    let what = format!("found elements of type {found}, allowed: f4 or f8");
+    TrialError::new(path, Fault::ElementType, what)
+}
+
+fn of_shape(path: &Path, found: &str) -> TrialError {
+    let what = format!("found shape ({found}), allowed: (n, 11) with n ≥ 2");
+    TrialError::new(path, Fault::Shape, what)
 }
 
 /// Number of rows and bytes per element.
 fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError> {
-    let path = || path.to_owned();
     let item_bytes = match header.element.as_str() {
-        "|O" => return Err(TrialError::ObjectArray { path: path() }),
+        "|O" => {
+            let what = "found an array of Python objects, which is never read. Save the table as a \
+                plain float64 array";
+            return Err(TrialError::new(path, Fault::ObjectArray, what));
+        }
         "<f4" | ">f4" => 4,
         "<f8" | ">f8" => 8,
-        element => {
-            return Err(TrialError::ElementType { path: path(), found: format!("'{element}'") });
-        }
+        element => return Err(of_type(path, &format!("'{element}'"))),
     };
     match *header.shape {
         [rows, WIDTH] if rows >= 2 => Ok((rows, item_bytes)),
         ref shape => {
             let sizes: Vec<String> = shape.iter().map(usize::to_string).collect();
-            Err(TrialError::Shape { path: path(), found: sizes.join(", ") })
+            Err(of_shape(path, &sizes.join(", ")))
         }
     }
 }

@@ -9,6 +9,7 @@ use joulebus_files::foreign;
 use super::limits::{GZIP_MAGIC, InMemory, MCAP_MAGIC};
 use super::names::ColumnMap;
 use super::table::Take;
+use super::text::empty;
 use super::{Table, Trial, TrialError, capture, npy, text};
 
 impl Table {
@@ -89,7 +90,7 @@ impl Table {
         let mut head = Vec::new();
         file.by_ref().take(foreign::HEAD_BYTES).read_to_end(&mut head).map_err(io)?;
         if head.is_empty() {
-            return Err(TrialError::Empty { path: path.to_owned() });
+            return Err(empty(path));
         }
         let named_npy = joulebus_files::ends_in(path, "npy");
         if head.starts_with(crate::npy::MAGIC) || named_npy {
@@ -115,7 +116,7 @@ impl Table {
     /// The trial in SI units.
     ///
     /// # Errors
-    /// [`TrialError::NoPeriod`] if no time advances.
+    /// [`TrialError`] if no time advances.
     pub fn into_trial(mut self) -> Result<Trial, TrialError> {
         for (column, values) in super::Column::ALL.into_iter().zip(&mut self.columns) {
             for value in values.iter_mut().flatten() {

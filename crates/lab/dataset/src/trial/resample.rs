@@ -86,8 +86,7 @@ impl Trial {
     /// # Errors
     /// [`ResampleError`].
     pub fn resampled(&self, how: Resample) -> Result<(Self, Resampled), ResampleError> {
-        let (grid, counts) = resample(&self.timestamp_s, &self.columns, how)?;
-        let table = grid.of(&self.path, self.robot_name.as_deref());
+        let (table, counts) = self.table.resampled(how)?;
         Ok((Self::from_si(table)?, counts))
     }
 }

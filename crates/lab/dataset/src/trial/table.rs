@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 use joulebus_plausibility::is_charge;
 use joulebus_wire::sample_flag;
 
-use super::error::TrialError;
+use super::error::{Fault, TrialError};
 use super::limits::{InMemory, MAX_FILE_ROWS, MAX_ROBOTS};
 
 /// A column of a trial, without robot and time.
@@ -40,6 +40,22 @@ pub enum Column {
     Soc,
 }
 
+/// Names and units of columns in files, in the order of [`Column`].
+const NAMES: [(&str, &str); Column::ALL.len()] = [
+    ("phase", "1"),
+    ("v_cmd_mps", "m/s"),
+    ("omega_cmd_radps", "rad/s"),
+    ("x_m", "m"),
+    ("y_m", "m"),
+    ("theta_rad", "rad"),
+    ("voltage_mV", "mV"),
+    ("current_mA", "mA"),
+    ("power_mW", "mW"),
+    ("v_meas_mps", "m/s"),
+    ("omega_meas_radps", "rad/s"),
+    ("soc", "1"),
+];
+
 impl Column {
     /// All columns. The first nine are the last nine of the array layout, in its order.
     pub const ALL: [Self; 12] = [
@@ -62,34 +78,12 @@ impl Column {
 
     /// Name in a CSV header, with the unit in the file.
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Phase => "phase",
-            Self::V => "v_cmd_mps",
-            Self::Omega => "omega_cmd_radps",
-            Self::X => "x_m",
-            Self::Y => "y_m",
-            Self::Theta => "theta_rad",
-            Self::Voltage => "voltage_mV",
-            Self::Current => "current_mA",
-            Self::Power => "power_mW",
-            Self::VMeasured => "v_meas_mps",
-            Self::OmegaMeasured => "omega_meas_radps",
-            Self::Soc => "soc",
-        }
+        NAMES[self as usize].0
     }
 
     /// Unit of the values in files. `1` without one.
     pub const fn unit(self) -> &'static str {
-        match self {
-            Self::Phase | Self::Soc => "1",
-            Self::V | Self::VMeasured => "m/s",
-            Self::Omega | Self::OmegaMeasured => "rad/s",
-            Self::X | Self::Y => "m",
-            Self::Theta => "rad",
-            Self::Voltage => "mV",
-            Self::Current => "mA",
-            Self::Power => "mW",
-        }
+        NAMES[self as usize].1
     }
 
     /// A value in SI units, with its unit.
@@ -269,13 +263,9 @@ impl Cell<'_> {
         found: impl Into<String>,
         allowed: impl Into<String>,
     ) -> TrialError {
-        TrialError::Value {
-            path: self.path.to_owned(),
-            row: self.row,
-            column: column.into(),
-            found: found.into(),
-            allowed: allowed.into(),
-        }
+        let what = format!("column {}: found {:?}", column.into(), found.into());
+        let allowed = format!(", allowed: {}", allowed.into());
+        TrialError::new(self.path, Fault::Value, what).in_row(self.row).with(allowed)
     }
 }
 
@@ -433,10 +423,7 @@ impl Table {
     /// The same for a time in a unit that is not known yet.
     pub(super) fn push_any_time(&mut self, cell: Cell<'_>, time: f64) -> Result<(), TrialError> {
         if cell.row > MAX_FILE_ROWS {
-            return Err(TrialError::TooManyRows {
-                path: cell.path.to_owned(),
-                allowed: MAX_FILE_ROWS,
-            });
+            return Err(too_many_rows(cell.path, MAX_FILE_ROWS));
         }
         self.file_row.push(cell.row as u32);
         self.timestamp_s.push(time);
@@ -455,20 +442,7 @@ impl Table {
         let (starts, is_part) = (self.starts(), self.is_part);
         let (mut runs, mut taken) = (Vec::new(), 0);
         for (start, back_s) in starts {
-            runs.push(Self {
-                ignored_columns: self.ignored_columns.clone(),
-                sources: self.sources.clone(),
-                left_out: std::mem::take(&mut self.left_out),
-                understood: std::mem::take(&mut self.understood),
-                time_name: self.time_name.clone(),
-                states_time_unit: self.states_time_unit,
-                is_turned: self.is_turned,
-                on_charger: self.on_charger.clone(),
-                apart: self.apart.clone(),
-                is_part,
-                appended: self.appended.take(),
-                ..self.take_first(start - taken)
-            });
+            runs.push(Self { is_part, ..self.take_first(start - taken) });
             taken = start;
             self.appended = Some(Appended { row: self.file_row(0), back_s });
         }
@@ -592,36 +566,40 @@ impl Table {
 
     /// Removes the first rows, which are then a table of their own.
     fn take_first(&mut self, rows: usize) -> Self {
-        let columns = self.columns.each_mut();
-        Self {
-            path: self.path.clone(),
-            robot_name: self.robot_name.clone(),
-            file_row: self.file_row.drain(..rows).collect(),
-            timestamp_s: self.timestamp_s.drain(..rows).collect(),
-            columns: columns.map(|column| {
-                let values = column.as_mut()?;
-                Some(values.drain(..rows.min(values.len())).collect())
-            }),
-            unnamed_rows: std::mem::take(&mut self.unnamed_rows),
-            on_charger: self.on_charger.clone(),
-            is_part: true,
-            ..Self::default()
-        }
+        let others = self.columns.each_mut().map(|column| {
+            let values = column.as_mut()?;
+            Some(values.split_off(rows.min(values.len())))
+        });
+        let others = (self.file_row.split_off(rows), self.timestamp_s.split_off(rows), others);
+        let first = self.clone();
+        (self.file_row, self.timestamp_s, self.columns) = others;
+        (self.unnamed_rows, self.left_out, self.appended) = (0, LeftOut::default(), None);
+        self.understood.clear();
+        Self { is_part: true, ..first }
     }
 
     /// The only table of a file.
     pub(super) fn only(mut tables: Vec<Self>) -> Result<Self, TrialError> {
-        let second = tables.get(1).map(|table| TrialError::SecondRobot {
-            path: table.path.clone(),
-            row: table.file_row.first().map_or(0, |row| *row as usize),
-            first: tables[0].robot_name.clone().unwrap_or_default(),
-            found: table.robot_name.clone().unwrap_or_default(),
-        });
-        match second {
-            Some(error) => Err(error),
-            None => Ok(tables.pop().unwrap_or_default()),
-        }
+        let Some(second) = tables.get(1) else {
+            return Ok(tables.pop().unwrap_or_default());
+        };
+        let [first, found] =
+            [&tables[0], second].map(|table| table.robot_name.as_deref().unwrap_or_default());
+        let what = format!(
+            "robot {found:?} after robot {first:?}. A trial holds one robot: `joulebus data \
+             convert` splits the file"
+        );
+        let error = TrialError::new(&second.path, Fault::SecondRobot, what);
+        Err(error.in_row(second.file_row.first().map_or(0, |row| *row as usize)))
     }
+}
+
+pub(super) fn too_many_rows(path: &Path, allowed: usize) -> TrialError {
+    let what = format!(
+        "more than {allowed} rows, which this verb has in memory at the same time. Split the \
+         recording (`data check`, `train`, `eval`, `analyze` and `config init` read it in parts)"
+    );
+    TrialError::new(path, Fault::TooManyRows, what)
 }
 
 /// Samples carry f32: an overflow would arrive as infinity.
@@ -664,7 +642,7 @@ impl Tables {
     ) -> Result<Option<Vec<Table>>, TrialError> {
         let InMemory { part_rows, max_rows } = in_memory;
         if self.rows > max_rows {
-            return Err(TrialError::TooManyRows { path: path.to_owned(), allowed: max_rows });
+            return Err(too_many_rows(path, max_rows));
         }
         if self.rows <= part_rows {
             return Ok(None);
@@ -715,7 +693,8 @@ impl Tables {
             return Err(cell.refuse(ROBOT_NAMES[0], name, allowed));
         }
         if at == MAX_ROBOTS {
-            return Err(TrialError::TooManyRobots { path: cell.path.to_owned() });
+            let what = format!("more than {MAX_ROBOTS} robots. Split the recording");
+            return Err(TrialError::new(cell.path, Fault::TooManyRobots, what));
         }
         let robot_name = (!name.is_empty()).then(|| name.to_owned());
         self.tables.push(Table { path: cell.path.to_owned(), robot_name, ..Table::default() });

@@ -5,8 +5,8 @@ use std::path::Path;
 
 use csv::{ByteRecord, Reader};
 
-use super::TrialError;
-use super::layout::{Layout, Row};
+use super::error::{Fault, TrialError};
+use super::layout::{Lacking, Layout, Row};
 use super::limits::InMemory;
 use super::meter::Meter;
 use super::names::ColumnMap;
@@ -17,7 +17,6 @@ use super::times::Times;
 
 /// Reads the table part by part. `zipped`: the bytes are gzip, with the size of the file.
 /// `first_line`: the number of its first line, 0 of a table that has no file.
-#[expect(clippy::result_large_err, reason = "a bad line ends the reading, or is rare")]
 pub(super) fn read(
     path: &Path,
     (source, zipped, first_line): (Box<dyn Read>, Option<u64>, usize),
@@ -116,9 +115,9 @@ impl BadLine {
 
     /// True if the others may be read without it: not if there are none.
     fn can_be_left_out(&self, row: usize) -> bool {
-        match self.error {
-            TrialError::Truncated { .. } | TrialError::Gzip { .. } => row > 1,
-            ref error => error.is_of_lines(),
+        match self.error.fault() {
+            Fault::Truncated | Fault::Gzip => row > 1,
+            _ => self.error.is_of_lines(),
         }
     }
 }
@@ -169,7 +168,7 @@ impl Iterator for Rows<'_> {
         let cut = self.reader.get_ref().is_cut()
             && (self.leaves_out || self.record.len() < self.header.len());
         if let Some(what) = self.no_row(self.row, cut) {
-            let error = TrialError::Line { path: self.path.to_owned(), row: cell.row, what };
+            let error = TrialError::new(self.path, Fault::Line, what).in_row(cell.row);
             return Some(Err(BadLine { is_header: self.record == self.header, ..bad(error) }));
         }
         let row = self.layout.row(cell, &self.record, &mut self.numbers, &mut self.times);
@@ -222,12 +221,13 @@ impl<'a> Rows<'a> {
         }
         // A loop that found no header has an error.
         Err(match first {
-            None => TrialError::Empty { path: path.to_owned() },
-            Some(Refused { mut error, header, sample }) => {
-                if let TrialError::MissingColumns { lacks, suggestion, .. } = &mut error {
-                    *suggestion = propose(path, (&header, &sample), map, *lacks);
-                }
-                error
+            None => empty(path),
+            Some(Refused { error: Lacking { error, lacks: None }, .. }) => error,
+            Some(Refused { error: Lacking { error, lacks: Some(lacks) }, header, sample }) => {
+                let suggestion = propose(path, (&header, &sample), map, lacks);
+                error.with(format!(
+                    ". {suggestion} (`joulebus data check --help` lists the accepted names)"
+                ))
             }
         })
     }
@@ -295,6 +295,12 @@ impl<'a> Rows<'a> {
     }
 }
 
+/// The error of a file without any text.
+pub(super) fn empty(path: &Path) -> TrialError {
+    let what = "empty, expected a .npy array or a CSV with a header";
+    TrialError::new(path, Fault::Empty, what)
+}
+
 /// The line, at most, that has the names of the columns.
 const MAX_HEADER_LINE: usize = 32;
 /// Rows that show how a text is written.
@@ -316,7 +322,7 @@ struct Form {
 
 /// A header that has not what a trial needs.
 struct Refused {
-    error: TrialError,
+    error: Lacking,
     header: ByteRecord,
     sample: Vec<ByteRecord>,
 }
@@ -371,7 +377,7 @@ impl Form {
         }
         // There are five separators, and each but the last has an error.
         Err(best.unwrap_or_else(|| Refused {
-            error: TrialError::Empty { path: path.to_owned() },
+            error: empty(path).into(),
             header: ByteRecord::new(),
             sample: Vec::new(),
         }))

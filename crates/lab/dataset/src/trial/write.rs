@@ -67,18 +67,18 @@ impl Trial {
     /// The trial in the units of files. A value read from a file with non-SI units may differ in
     /// the last bit. [`Table::read`] preserves it.
     pub fn to_table(&self) -> Table {
-        let mut columns = self.columns.clone();
+        let mut columns = self.table.columns.clone();
         for (column, values) in Column::ALL.into_iter().zip(&mut columns) {
             for value in values.iter_mut().flatten() {
                 *value = column.recorded(*value);
             }
         }
         Table {
-            path: self.path.clone(),
-            robot_name: self.robot_name.clone(),
-            file_row: self.file_row.clone(),
-            on_charger: self.on_charger.clone(),
-            timestamp_s: self.timestamp_s.clone(),
+            path: self.table.path.clone(),
+            robot_name: self.table.robot_name.clone(),
+            file_row: self.table.file_row.clone(),
+            on_charger: self.table.on_charger.clone(),
+            timestamp_s: self.table.timestamp_s.clone(),
             columns,
             ..Table::default()
         }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use joulebus_dataset::inspect::{Implausible, Limits, is_short, judge};
 use joulebus_dataset::rows::{TrialRows, trial_rows};
 use joulebus_dataset::split::{Placed, SourceInfo, SplitError, check_copies, digest, group_of};
-use joulebus_dataset::trial::{LeftOut, Stored, Trial, TrialError};
+use joulebus_dataset::trial::{Fault, LeftOut, Stored, Trial, TrialError};
 use joulebus_settings::Platform;
 
 /// A trial with its names: in memory, or in a file that is read whenever its rows are needed.
@@ -145,11 +145,12 @@ impl Recording {
         let contents = Contents::new(place.read_again()?);
         let found = contents.trial.rows();
         if found != self.trial_rows || digest(&contents.rows) != self.digest {
-            return Err(TrialError::Changed {
-                path: contents.trial.path().to_owned(),
-                found,
-                before: self.trial_rows,
-            });
+            let what = format!(
+                "changed while it was used: {found} rows, or other ones, where {} were read before. \
+                 Run the command again when it is complete",
+                self.trial_rows
+            );
+            return Err(TrialError::new(contents.trial.path(), Fault::Changed, what));
         }
         Ok(Arc::new(contents))
     }

@@ -118,8 +118,7 @@ fn assert_only(kind: FindingKind, rows: &[usize], words: &str, table: &[[f64; 11
         let finding = finding.unwrap_or_else(|| panic!("{kind:?}: {found:?}"));
         assert!(finding.fault && finding.count >= 1 && !found.is_sound());
         let places = finding.places.iter();
-        let at: Vec<usize> =
-            places.clone().filter_map(|place| Some(place.row? - header)).collect();
+        let at: Vec<usize> = places.clone().filter_map(|place| Some(place.row? - header)).collect();
         assert_eq!(at, rows, "{kind:?}");
         let message: String = places.map(ToString::to_string).collect();
         assert_contains(&message, [words, name]);

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use joulebus_dataset::trial::{Column, Table, Trial, TrialError, WriteError};
+use joulebus_dataset::trial::{Column, Fault, Table, Trial, WriteError};
 use joulebus_testkit::assert_contains;
 use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, ROWS, csv, npy_f8, timed};
@@ -199,7 +199,7 @@ fn a_file_with_more_robots_than_there_can_be_is_refused() {
         text += &format!("r{robot},0,1\n");
     }
     let refused = Table::read_robots(files.write("many.csv", text.as_bytes())).unwrap_err();
-    assert!(matches!(refused, TrialError::TooManyRobots { .. }), "{refused}");
+    assert_eq!(refused.fault(), Fault::TooManyRobots, "{refused}");
 }
 
 #[test]

@@ -1,14 +1,20 @@
 //! Texts as other programs write them, and as a loss of power leaves them.
 
 use joulebus_dataset::inspect::{FindingKind, Limits, check_files, judge};
-use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Table, Trial, TrialError};
+use joulebus_dataset::trial::{Column, ColumnMap, Fault, MappedColumn, Table, Trial, TrialError};
 use joulebus_testkit::trials::{Files, ROWS, csv, gzip, npy_f8};
 use joulebus_testkit::{assert_contains, cases};
+
+use super::forms::row;
 
 fn mapped(columns: &str) -> ColumnMap {
     let columns = columns.split(',').filter(|column| *column != "-");
     let columns: Vec<MappedColumn> = columns.map(|one| one.parse().unwrap()).collect();
     ColumnMap::from(columns)
+}
+
+fn fault(read: Result<Trial, TrialError>) -> Fault {
+    read.map(|trial| trial.rows()).unwrap_err().fault()
 }
 
 fn read(files: &Files, text: &str, columns: &str) -> Result<Trial, TrialError> {
@@ -208,7 +214,8 @@ fn rows_are_numbered_as_the_lines_of_their_file() {
         assert_contains(&error, [&format!("row {row}, column power_W")]);
     }
     let long = "x".repeat(400);
-    let rows = (0..300).map(|row| format!("{long},2026-04-07 10:{:02}:{:02},4\n", row / 60, row % 60));
+    let rows =
+        (0..300).map(|row| format!("{long},2026-04-07 10:{:02}:{:02},4\n", row / 60, row % 60));
     let text = format!("note,timestamp,power_W\n{}", rows.collect::<String>());
     assert_eq!(read(&files, &text, "-").unwrap().rows(), 300);
 }
@@ -268,7 +275,7 @@ fn a_compressed_text_without_its_end_keeps_its_rows_on_request() {
     let rows: String = (0..500).map(|row| format!("{row},{}\n", row * row % 97)).collect();
     let whole = gzip(format!("time,power_W\n{rows}").as_bytes());
     let path = files.write("cut.csv.gz", &whole[..whole.len() / 2]);
-    assert!(matches!(Trial::read(&path), Err(TrialError::Truncated { .. })));
+    assert_eq!(fault(Trial::read(&path)), Fault::Truncated);
     let trials = Trial::read_mapped(&path, &ColumnMap::default().whole_rows(true)).unwrap();
     assert!((50..500).contains(&trials[0].rows()), "{}", trials[0].rows());
     assert_eq!(trials[0].notes().left_out.lines, 1);
@@ -279,7 +286,9 @@ fn a_text_of_which_most_lines_are_no_rows_is_refused_though_whole_rows_are_wante
     let files = Files::new();
     let path = files.write("log.csv", b"time,power_W\n0,1\n1,1\nx,y,z\nx,y,z\nx,y,z\n");
     let whole = ColumnMap::default().whole_rows(true);
-    assert!(matches!(Trial::read_mapped(path, &whole), Err(TrialError::FieldCount { row: 4, .. })));
+    let refused = Trial::read_mapped(path, &whole).unwrap_err();
+    assert_eq!(refused.fault(), Fault::FieldCount);
+    assert_contains(&refused.to_string(), ["row 4"]);
 }
 
 #[test]
@@ -306,7 +315,7 @@ fn files_of_other_programs_are_named_with_how_they_are_converted() {
     ] {
         for name in ["log.csv", "log.mat"] {
             let error = Trial::read(files.write(name, bytes)).unwrap_err();
-            assert!(matches!(error, TrialError::Kind { .. }), "{what}: {error:?}");
+            assert_eq!(error.fault(), Fault::Kind, "{what}: {error:?}");
             assert_contains(&error.to_string(), [name, what, remedy]);
         }
         let error = Trial::read(files.write("log.csv.gz", &gzip(bytes))).unwrap_err();
@@ -395,7 +404,23 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
     assert_eq!(percent.column(Column::Soc), Some(&[0.8, 0.79][..]));
     // A unit of another size is none of the column's.
     let other = files.write("log.csv", b"time_s,power_W\n0,4500mW\n1,4600mW\n");
-    assert!(matches!(Trial::read(other), Err(TrialError::Value { .. })));
+    assert_eq!(fault(Trial::read(other)), Fault::Value);
+}
+
+/// A text of rows of a template.
+fn table(header: &str, template: &str, rows: u32) -> String {
+    let rows: String = (0..rows).map(|number| row(template, number) + "\n").collect();
+    format!("{header}\n{rows}")
+}
+
+/// Words that a message has, and behind a `!` those that it has not.
+fn assert_says(message: &str, words: &[String]) {
+    for word in words {
+        match word.strip_prefix('!') {
+            Some(never) => assert!(!message.contains(never), "{never}: {message}"),
+            None => assert_contains(message, [word]),
+        }
+    }
 }
 
 /// Options are tried on the first rows: those that leave a finding, or a time that repeats, are not
@@ -403,87 +428,25 @@ fn headers_below_other_lines_units_in_brackets_and_behind_values_are_understood(
 #[test]
 fn what_is_missing_is_named_with_the_options_that_work() {
     let files = Files::new();
-    let number = |step: u32| {
-        let step = f64::from(step);
-        (0.1 * step, 12.0 - 0.01 * (0.3 * step).sin(), 0.5 + 0.1 * (0.7 * step).sin())
-    };
-    type Line = fn(u32, (f64, f64, f64)) -> String;
-    let cases: [(&str, Line, &[&str], &[&str]); 8] = [
-        (
-            "Time,Voltage,Current,Power",
-            |_, (t, u, i)| format!("{t:.1},{u:.3},{i:.4},{:.4}", u * i),
-            &[
-                "--map 'voltage_V=Voltage,current_A=Current'",
-                "--map 'power_W=Power'",
-                "none is chosen",
-            ],
-            &["sum"],
-        ),
-        (
-            "at_date,power_W",
-            |_, (t, u, i)| format!("{t:.1},{:.4}", u * i),
-            &["Name them: --map 'time_s=at_date'"],
-            &[],
-        ),
-        (
-            "epoch_ms,local_time,seconds_from_start,watts,kwh",
-            |at, (t, u, i)| {
-                let second = 40 + at / 10;
-                format!(
-                    "{},2026-04-07 10:59:{second},{t:.1},{:.4},0.1",
-                    1_775_556_000_000 + u64::from(at) * 100,
-                    u * i
-                )
-            },
-            &["time_ms=epoch_ms,power_W=watts", "time_s=seconds_from_start,power_W=watts"],
-            &["=local_time", "=kwh"],
-        ),
-        (
-            "TimeUS,Inst,Volt,Curr,CurrTot",
-            |at, (_, u, i)| {
-                let scale = if at % 2 == 0 { 1.0 } else { 0.1 };
-                format!("{},{},{u:.3},{:.4},0.1", 12_000_000 + at * 50_000, at % 2, scale * i)
-            },
-            &["Name them: --map 'time_us=TimeUS,voltage_V=Volt,current_A=Curr,robot=Inst'"],
-            &[],
-        ),
-        (
-            "time_s,voltage_1_V,current_1_A,voltage_2_V,current_2_A",
-            |_, (t, u, i)| format!("{t:.1},{u:.3},{i:.4},{u:.3},{:.4}", 0.7 * i),
-            &[
-                "--map 'voltage=voltage_1_V,current=current_1_A', or --map 'voltage=voltage_2_V,current=current_2_A'",
-                "their sum: --map 'power_W=voltage_1_V*current_1_A+voltage_2_V*current_2_A'",
-            ],
-            &[],
-        ),
-        (
-            "interval_ms,power_mW",
-            |_, (_, u, i)| format!("100,{:.4}", u * i * 1e3),
-            &["df['interval_ms'].cumsum() / 1000"],
-            &["--map"],
-        ),
-        (
-            "a,b",
-            |_, (t, u, i)| format!("{t:.1},{:.4}", u * i),
-            &["such as --map time=t,power_W=p"],
-            &[],
-        ),
-        // No unit of it is that of a robot.
-        (
-            "time,power",
-            |_, (t, u, i)| format!("{t:.1},{:.4}", u * i * 1e6),
-            &["such as"],
-            &["power_W=power"],
-        ),
-    ];
-    for (header, line, parts, never) in cases {
-        let lines: String = (0..120).map(|at| line(at, number(at)) + "\n").collect();
-        let path = files.write("log.csv", format!("{header}\n{lines}").as_bytes());
+    // No unit of the last is that of a robot.
+    for case in cases(
+        r"
+        Time,Voltage,Current,Power | {s},{V},{A},{W} | --map 'voltage_V=Voltage,current_A=Current' | --map 'power_W=Power' | none is chosen | !sum
+        at_date,power_W | {s},{W} | Name them: --map 'time_s=at_date'
+        epoch_ms,local_time,seconds_from_start,watts,kwh | {epoch_ms},2026-04-07 10:59:4{tens},{s},{W},0.1 | time_ms=epoch_ms,power_W=watts | time_s=seconds_from_start,power_W=watts | !=local_time | !=kwh
+        TimeUS,Inst,Volt,Curr,CurrTot | {us},{inst},{V},{A/inst},0.1 | Name them: --map 'time_us=TimeUS,voltage_V=Volt,current_A=Curr,robot=Inst'
+        time_s,voltage_1_V,current_1_A,voltage_2_V,current_2_A | {s},{V},{A},{V},{0.7A} | --map 'voltage=voltage_1_V,current=current_1_A', or --map 'voltage=voltage_2_V,current=current_2_A' | their sum: --map 'power_W=voltage_1_V*current_1_A+voltage_2_V*current_2_A'
+        interval_ms,power_mW | 100,{mW} | df['interval_ms'].cumsum() / 1000 | !--map
+        a,b | {s},{W} | such as --map time=t,power_W=p
+        time,power | {s},{MW} | such as | !power_W=power
+        ",
+    ) {
+        let [header, template, words @ ..] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let path = files.write("log.csv", table(header, template, 120).as_bytes());
         let error = Trial::read(&path).unwrap_err().to_string();
-        assert_contains(&error, parts);
-        for part in never {
-            assert!(!error.contains(part), "{part}: {error}");
-        }
+        assert_says(&error, words);
         // Each works on the whole file.
         for option in error.split("--map '").skip(1) {
             let columns = mapped(option.split('\'').next().unwrap());
@@ -498,112 +461,31 @@ fn what_is_missing_is_named_with_the_options_that_work() {
 #[test]
 fn forms_of_rows_that_can_mean_one_thing_are_read() {
     let files = Files::new();
-    type Line = fn(u32) -> String;
-    let dated = 1_775_559_580.0;
     // Header, a row, `--map`, the first time, the period, and a note.
-    let cases: [(&str, Line, &str, f64, f64, &str); 15] = [
-        (
-            "Timestamp,Power_W",
-            |at| format!("04/07/2026 10:59:4{}.{}00000 AM,{}", at / 10, at % 10, at + 5),
-            "-",
-            dated,
-            0.1,
-            "month, day and year",
-        ),
-        (
-            "Timestamp,Power_W",
-            |at| format!("07.04.2026 10:59:4{}.{}00,{}", at / 10, at % 10, at + 5),
-            "-",
-            dated,
-            0.1,
-            "-",
-        ),
-        (
-            "timestamp,power_W",
-            |at| format!("Tue Apr 07 2026 12:59:{} GMT+0200 (CEST),{}", 40 + at, at + 5),
-            "-",
-            dated,
-            1.0,
-            "-",
-        ),
-        (
-            "time,power_W",
-            |at| format!("59:4{}.{},{}", at / 10, at % 10, at + 5),
-            "-",
-            3_580.0,
-            0.1,
-            "without the hour",
-        ),
-        (
-            "asctime,power_W,x",
-            |at| format!("2026-04-07 10:59:4{},{}00,{},0", at / 10, at % 10, at + 5),
-            "time=asctime",
-            dated,
-            0.1,
-            "-",
-        ),
-        ("t,power_mW", |at| format!("{at},\"{},000.0\"", at + 5), "time_s=t", 0.0, 1.0, "-"),
-        (
-            "Time,Power",
-            |at| {
-                if at == 3 {
-                    "2026-04-07 10:59:43,8 W".to_owned()
-                } else {
-                    format!("2026-04-07 10:59:{},{} mW", 40 + at, (at + 5) * 1000)
-                }
-            },
-            "-",
-            dated,
-            1.0,
-            "-",
-        ),
-        (
-            "Date,Time,Power_W",
-            |at| format!("2026-04-0{},10:59:{},{}", 7 + at / 10, 40 + at % 10, at + 5),
-            "-",
-            dated,
-            1.0,
-            "-",
-        ),
-        (
-            "timestamp,power_W",
-            |at| format!("2026-04-07T10:59:{},{}", 59 - at, 24 - at),
-            "-",
-            dated,
-            1.0,
-            "newest first",
-        ),
-        (
-            "timestamp,power_W",
-            |at| format!("{},{}", 1_775_559_599_000_u64 - u64::from(at) * 1_000, 24 - at),
-            "-",
-            dated,
-            1.0,
-            "newest first",
-        ),
-        ("t,a,b", |at| format!("{at},{},2", at + 3), "time_s=t,power_W=a+b", 0.0, 1.0, "-"),
-        ("t,a,b", |at| format!("{at},{},2", at + 7), "time_s=t,power_W=a-b", 0.0, 1.0, "-"),
-        (
-            "t,u 1,i-1,c",
-            |at| format!("{at},2,{},3", f64::from(at + 2) / 2.0),
-            "time_s=t,power_W=u 1*i-1+c",
-            0.0,
-            1.0,
-            "-",
-        ),
-        ("t,power_W,vx,vy", |at| format!("{at},{},0.3,0.4", at + 5), "time_s=t", 0.0, 1.0, "-"),
-        (
-            "t,power_W,vx_mmps,vy_mmps",
-            |at| format!("{at},{},300,400", at + 5),
-            "time_s=t,v=vx_mmps",
-            0.0,
-            1.0,
-            "-",
-        ),
-    ];
-    for (header, line, columns, first_s, period_s, note) in cases {
-        let lines: String = (0..20).map(|at| line(at) + "\n").collect();
-        let trial = read(&files, &format!("{header}\n{lines}"), columns);
+    for case in cases(
+        r#"
+        Timestamp,Power_W | 04/07/2026 10:59:4{tens}.{ones}00000 AM,{n+5} | - | 1775559580 | 0.1 | month, day and year
+        Timestamp,Power_W | 07.04.2026 10:59:4{tens}.{ones}00,{n+5} | - | 1775559580 | 0.1 | -
+        timestamp,power_W | Tue Apr 07 2026 12:59:{40+n} GMT+0200 (CEST),{n+5} | - | 1775559580 | 1 | -
+        time,power_W | 59:4{tens}.{ones},{n+5} | - | 3580 | 0.1 | without the hour
+        asctime,power_W,x | 2026-04-07 10:59:4{tens},{ones}00,{n+5},0 | time=asctime | 1775559580 | 0.1 | -
+        t,power_mW | {n},"{n+5},000.0" | time_s=t | 0 | 1 | -
+        Time,Power | 2026-04-07 10:59:{40+n},{mixed} | - | 1775559580 | 1 | -
+        Date,Time,Power_W | 2026-04-0{day},10:59:4{ones},{n+5} | - | 1775559580 | 1 | -
+        timestamp,power_W | 2026-04-07T10:59:{59-n},{24-n} | - | 1775559580 | 1 | newest first
+        timestamp,power_W | {down_ms},{24-n} | - | 1775559580 | 1 | newest first
+        t,a,b | {n},{n+3},2 | time_s=t,power_W=a+b | 0 | 1 | -
+        t,a,b | {n},{n+7},2 | time_s=t,power_W=a-b | 0 | 1 | -
+        t,u 1,i-1,c | {n},2,{n/2+1},3 | time_s=t,power_W=u 1*i-1+c | 0 | 1 | -
+        t,power_W,vx,vy | {n},{n+5},0.3,0.4 | time_s=t | 0 | 1 | -
+        t,power_W,vx_mmps,vy_mmps | {n},{n+5},300,400 | time_s=t,v=vx_mmps | 0 | 1 | -
+        "#,
+    ) {
+        let [header, template, columns, first_s, period_s, note] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let [first_s, period_s] = [first_s, period_s].map(|text| text.parse::<f64>().unwrap());
+        let trial = read(&files, &table(header, template, 20), columns);
         let trial = trial.unwrap_or_else(|error| panic!("{header}: {error}"));
         let times_s = trial.timestamp_s();
         assert!((times_s[0] - first_s).abs() < 1e-6, "{header}: {times_s:?}");
@@ -624,23 +506,18 @@ fn forms_of_rows_that_can_mean_one_thing_are_read() {
             assert_eq!((trial.file_row(0), trial.file_row(19)), (21, 2));
         }
     }
-    for (header, line, parts) in [
-        (
-            "timestamp,power_W",
-            (|at| format!("1.77556E+12,{at}")) as Line,
-            &["1 different times in 20 rows", "spreadsheet"][..],
-        ),
-        (
-            "time,power_W",
-            |at| format!("07/04/2026 10:59:{},{at}", 40 + at),
-            &["row 2", "07/04/2026"],
-        ),
-        ("t,power_W", |at| format!("{at},\"1,50{}\"", at % 10), &["could separate thousands"]),
-    ] {
-        let lines: String = (0..20).map(|at| line(at) + "\n").collect();
-        let columns = if header.starts_with("t,") { "time_s=t" } else { "-" };
-        let error = read(&files, &format!("{header}\n{lines}"), columns).unwrap_err().to_string();
-        assert_contains(&error, parts);
+    for case in cases(
+        r#"
+        timestamp,power_W | 1.77556E+12,{n} | - | 1 different times in 20 rows | spreadsheet
+        time,power_W | 07/04/2026 10:59:{40+n},{n} | - | row 2 | 07/04/2026
+        t,power_W | {n},"1,50{ones}" | time_s=t | could separate thousands
+        "#,
+    ) {
+        let [header, template, columns, words @ ..] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let error = read(&files, &table(header, template, 20), columns).unwrap_err();
+        assert_says(&error.to_string(), words);
     }
 }
 
@@ -649,57 +526,21 @@ fn forms_of_rows_that_can_mean_one_thing_are_read() {
 #[test]
 fn remedies_that_work_are_told_with_their_columns() {
     let files = Files::new();
-    let load = |at: u32| 0.5 + 0.1 * (0.7 * f64::from(at)).sin();
-    type Line = fn(u32, f64) -> String;
-    let cases: [(&str, Line, &[&str], &[&str]); 4] = [
-        (
-            "t_s,sensor,power_W",
-            |at, load| {
-                format!(
-                    "{},m{},{}",
-                    f64::from(at) * 0.1,
-                    at % 2,
-                    12.0 * load * if at % 2 == 0 { 1.0 } else { 0.1 }
-                )
-            },
-            &["alternates between two levels", "--map robot=sensor"],
-            &[],
-        ),
-        (
-            "t_s,cmd_speed,power_W",
-            |at, load| format!("{},0.3,{}", f64::from(at) * 0.1, 12.0 * load),
-            &["cmd_speed looks like a command", "--map 'v_mps=cmd_speed'"],
-            &[],
-        ),
-        (
-            "t_s,voltage_V,current_A",
-            |at, load| format!("{},{},{}", f64::from(at) * 0.1, 12.0 - 0.01 * load, -load),
-            &["--current discharge-negative"],
-            &[],
-        ),
-        // Turned, it is as wrong: every tenth reading is of the other sign.
-        (
-            "t_s,v_cmd_mps,power_W",
-            |at, load| {
-                format!(
-                    "{},0.3,{}",
-                    f64::from(at) * 0.1,
-                    12.0 * load * if at % 10 == 0 { -1.0 } else { 1.0 }
-                )
-            },
-            &["its sign is not reliable"],
-            &["--current"],
-        ),
-    ];
-    for (header, line, parts, never) in cases {
-        let lines: String = (0..300).map(|at| line(at, load(at)) + "\n").collect();
-        let path = files.write("log.csv", format!("{header}\n{lines}").as_bytes());
+    // Turned, the last is as wrong: every tenth reading is of the other sign.
+    for case in cases(
+        r"
+        t_s,sensor,power_W | {s},m{inst},{W/inst} | alternates between two levels | --map robot=sensor
+        t_s,cmd_speed,power_W | {s},0.3,{W} | cmd_speed looks like a command | --map 'v_mps=cmd_speed'
+        t_s,voltage_V,current_A | {s},{V},{-A} | --current discharge-negative
+        t_s,v_cmd_mps,power_W | {s},0.3,{±W} | its sign is not reliable | !--current
+        ",
+    ) {
+        let [header, template, words @ ..] = case.as_slice() else {
+            panic!("{case:?}");
+        };
+        let path = files.write("log.csv", table(header, template, 300).as_bytes());
         let found = judge(&Trial::read(path).unwrap(), &Limits::default());
-        let told: String = found.iter().map(|one| one.place.to_string()).collect();
-        assert_contains(&told, parts);
-        for part in never {
-            assert!(!told.contains(part), "{part}: {told}");
-        }
+        assert_says(&found.iter().map(|one| one.place.to_string()).collect::<String>(), words);
     }
 }
 
