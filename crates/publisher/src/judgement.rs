@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Source};
+use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Rows, Source};
 use serde::Serialize;
 
 use crate::{Charger, RobotState};
@@ -13,6 +13,8 @@ const EVERY: u64 = 64;
 const WINDOW: u64 = 20_000;
 /// Readings after which a finding that does not come again ends.
 const ENDS_AFTER: u64 = 1_024;
+/// Readings of a robot that are kept, to try remedies on them.
+const MAX_KEPT: usize = 256;
 
 /// Something implausible about a robot.
 ///
@@ -25,14 +27,14 @@ pub struct Implausible {
     /// The finding.
     #[serde(flatten)]
     pub finding: Finding,
-    /// The remedy.
+    /// The remedy. An option or a key in it was tried on what the robot has reported.
     pub remedy: String,
 }
 
 /// Judges what the robots of a source report: sign, unit, clock, range, saturation, constancy.
 ///
 /// Give it each state that is published. It alters nothing and publishes nothing: a program logs
-/// [`Judgement::take_news`]. It keeps some 11 kB of each robot.
+/// [`Judgement::take_news`]. It keeps some 22 kB of each robot.
 ///
 /// ```
 /// use joulebus_publisher::plausibility::Source;
@@ -50,6 +52,8 @@ pub struct Implausible {
 #[derive(Debug, Clone)]
 pub struct Judgement {
     source: Source,
+    /// What the source's mapping calls quantities, with their units.
+    names: Vec<(Quantity, String)>,
     /// Findings that are not reported.
     accepted: Vec<Kind>,
     robots: BTreeMap<u32, Robot>,
@@ -64,7 +68,60 @@ pub struct Judgement {
 #[derive(Debug, Clone)]
 struct Robot {
     judge: Box<Judge>,
-    found: Vec<Finding>,
+    kept: Kept,
+    found: Vec<Implausible>,
+}
+
+/// Readings of a robot, evenly thinned out.
+#[derive(Debug, Clone)]
+struct Kept {
+    /// Time in s, values in the order of [`Quantity::ALL`], and whether it charges.
+    rows: Vec<(f64, [f32; 6], bool)>,
+    /// One of so many is kept, and readings since the last.
+    every: usize,
+    since: usize,
+}
+
+impl Kept {
+    fn new() -> Self {
+        Self { rows: Vec::with_capacity(MAX_KEPT), every: 1, since: 0 }
+    }
+
+    fn take(&mut self, seen: &Observation) {
+        self.since += 1;
+        if self.since < self.every {
+            return;
+        }
+        self.since = 0;
+        if self.rows.len() == MAX_KEPT {
+            let mut keeps = false;
+            self.rows.retain(|_| {
+                keeps = !keeps;
+                keeps
+            });
+            self.every *= 2;
+        }
+        let values = Quantity::ALL.map(|quantity| seen.value(quantity) as f32);
+        self.rows.push((seen.time_s, values, seen.charging == Some(true)));
+    }
+
+    fn observations(&self) -> impl Iterator<Item = Observation> + Clone {
+        self.rows.iter().map(|(time_s, values, charges)| {
+            let mut seen = Observation { charging: Some(*charges), ..Observation::at(*time_s) };
+            for (quantity, value) in Quantity::ALL.into_iter().zip(values) {
+                *seen.value_mut(quantity) = f64::from(*value);
+            }
+            seen
+        })
+    }
+
+    /// True if power is voltage times current wherever all three are known.
+    fn is_product(&self) -> bool {
+        self.observations().all(|seen| {
+            let away_w = seen.power_w - seen.voltage_v * seen.current_a;
+            away_w.is_nan() || away_w.abs() <= 1e-6 * seen.power_w.abs()
+        })
+    }
 }
 
 impl Judgement {
@@ -73,6 +130,7 @@ impl Judgement {
     pub const fn new(source: Source, accepted: Vec<Kind>) -> Self {
         Self {
             source,
+            names: Vec::new(),
             accepted,
             robots: BTreeMap::new(),
             max_robots: usize::MAX,
@@ -80,6 +138,12 @@ impl Judgement {
             plausible: BTreeSet::new(),
             news: Vec::new(),
         }
+    }
+
+    /// With the names of quantities in the source's mapping, whose ends state units: `voltage_mV`.
+    #[must_use]
+    pub fn named(self, names: Vec<(Quantity, String)>) -> Self {
+        Self { names, ..self }
     }
 
     /// Judges at most so many robots at the same time. One that is found plausible makes room for
@@ -93,7 +157,11 @@ impl Judgement {
     /// than was published. States without one, or with a held one, add nothing new: leave them out.
     pub fn take(&mut self, state: &RobotState, soc: Option<f32>, now_ns: u64) {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
-        let new = || Robot { judge: Box::new(Judge::new(Known::default())), found: Vec::new() };
+        let new = || Robot {
+            judge: Box::new(Judge::new(Known::default())),
+            kept: Kept::new(),
+            found: Vec::new(),
+        };
         if self.robots.len() >= self.max_robots && !self.robots.contains_key(&state.robot) {
             self.others_wait |= !self.plausible.contains(&state.robot);
             return;
@@ -102,7 +170,7 @@ impl Judgement {
             return;
         }
         let robot = self.robots.entry(state.robot).or_insert_with(new);
-        robot.judge.take(&Observation {
+        let seen = Observation {
             v_mps: number(state.v_mps),
             omega_radps: number(state.omega_radps),
             power_w: number(state.power_w),
@@ -111,7 +179,9 @@ impl Judgement {
             soc: number(soc),
             charging: Some(state.charger != Charger::Disconnected),
             ..Observation::at(now_ns as f64 * 1e-9)
-        });
+        };
+        robot.judge.take(&seen);
+        robot.kept.take(&seen);
         let count = robot.judge.observations();
         // Not all robots of a frame in the same one.
         if (count + u64::from(state.robot)).is_multiple_of(EVERY) {
@@ -123,24 +193,31 @@ impl Judgement {
         let Some(robot) = self.robots.get_mut(&id) else {
             return;
         };
-        let mut found = robot.judge.findings();
-        found.retain(|finding| !self.accepted.contains(&finding.kind));
+        let mut all = robot.judge.findings();
+        all.retain(|finding| !self.accepted.contains(&finding.kind));
         let count = robot.judge.observations();
-        let is_same = |one: &Finding, other: &Finding| {
-            (one.kind, one.quantity) == (other.kind, other.quantity)
+        let name = |of: &Finding| {
+            let named = self.names.iter().find(|(quantity, _)| Some(*quantity) == of.quantity);
+            named.map(|(_, name)| name.clone())
         };
-        for finding in &found {
-            if !robot.found.iter().any(|known| is_same(known, finding)) {
-                let remedy = finding.remedy(self.source, None);
+        let mut found = Vec::with_capacity(all.len());
+        for finding in &all {
+            let known = robot.found.iter().find(|known| known.finding.is_like(finding));
+            let remedy = known.map(|known| known.remedy.clone()).unwrap_or_else(|| {
+                let kept = &robot.kept;
+                let rows = Rows::new(kept.observations(), Known::default(), kept.is_product());
+                let edits = rows.working(finding, &all, name);
+                let remedy = finding.remedy_by(self.source, name(finding).as_deref(), &edits);
                 let sentences = finding.sentences(&remedy);
                 self.news.push(format!("robot {id}: {}: {sentences}", finding.kind));
-            }
+                remedy
+            });
+            found.push(Implausible { robot: id, finding: finding.clone(), remedy });
         }
         if count < ENDS_AFTER {
-            let ended =
-                robot.found.iter().filter(|known| !found.iter().any(|one| is_same(one, known)));
-            let ended: Vec<Finding> = ended.cloned().collect();
-            found.extend(ended);
+            let ended = robot.found.iter();
+            let ended = ended.filter(|known| !all.iter().any(|one| one.is_like(&known.finding)));
+            found.extend(ended.cloned());
         }
         if found.is_empty() && self.others_wait && count >= ENDS_AFTER {
             self.robots.remove(&id);
@@ -153,22 +230,13 @@ impl Judgement {
             // Those that made room are judged again.
             self.plausible.clear();
             *robot.judge = Judge::new(Known::default());
+            robot.kept = Kept::new();
         }
     }
 
     /// All that is implausible, by robot.
     pub fn records(&self) -> Vec<Implausible> {
-        let of = |(id, robot): (&u32, &Robot)| {
-            let id = *id;
-            let found = robot.found.clone().into_iter();
-            let records = found.map(move |finding| Implausible {
-                robot: id,
-                remedy: finding.remedy(self.source, None),
-                finding,
-            });
-            records.collect::<Vec<_>>()
-        };
-        self.robots.iter().flat_map(of).collect()
+        self.robots.values().flat_map(|robot| robot.found.iter().cloned()).collect()
     }
 
     /// Takes the findings that are new since the last call, a line each.
@@ -182,7 +250,8 @@ mod tests {
     use super::*;
 
     fn judged(change: impl Fn(u64, &mut RobotState), readings: u64) -> (Judgement, Vec<String>) {
-        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
+        let names = vec![(Quantity::Power, "power_W".to_owned())];
+        let mut judgement = Judgement::new(Source::Bridge, Vec::new()).named(names);
         for step in 0..readings {
             let mut state = RobotState::new(7);
             let wave = (step as f32 * 0.7).sin();

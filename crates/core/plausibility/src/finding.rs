@@ -5,41 +5,33 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-use crate::observation::Observation;
+use crate::card::CARDS;
+use crate::edit::{Edit, UNNAMED};
 use crate::quantity::{Quantity, UNMEASURED_A, number};
 
-/// Kind of a finding. Its name is what `--accept` takes.
+/// Kind of a finding. Its name is what `--accept` takes, and its [`Card`](crate::Card) says what it
+/// means.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "kebab-case")]
 #[non_exhaustive]
+#[expect(missing_docs, reason = "their cards say it")]
 pub enum Kind {
-    /// Power or current is negative while the battery discharges.
     Sign,
-    /// Values are in another unit or scale.
     Unit,
-    /// Times go back, stand still, or are too coarse for the rate.
     Clock,
-    /// A command applies long after its controller fell silent.
     Hold,
-    /// A quantity that was expected never came.
     NeverCame,
-    /// Values outside the allowed range.
     Range,
-    /// A sensor at the end of its range, or with a register that wraps.
     Saturation,
-    /// A value that never changes.
     Constant,
-    /// A number that means that there is no reading.
     Sentinel,
-    /// Power differs from voltage times current.
     Mismatch,
-    /// Readings of two sources in turn.
     Sources,
 }
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; CARDS.len()] = [
         Self::Sign,
         Self::Unit,
         Self::Clock,
@@ -56,19 +48,7 @@ impl Kind {
     /// The name.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Sign => "sign",
-            Self::Unit => "unit",
-            Self::Clock => "clock",
-            Self::Hold => "hold",
-            Self::NeverCame => "never-came",
-            Self::Range => "range",
-            Self::Saturation => "saturation",
-            Self::Constant => "constant",
-            Self::Sentinel => "sentinel",
-            Self::Mismatch => "mismatch",
-            Self::Sources => "sources",
-        }
+        self.card().name
     }
 }
 
@@ -82,8 +62,7 @@ impl FromStr for Kind {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let named = Self::ALL.into_iter().find(|kind| kind.name() == text);
-        named.ok_or_else(|| {
+        Self::ALL.into_iter().find(|kind| kind.name() == text).ok_or_else(|| {
             let allowed = Self::ALL.map(Self::name).join(", ");
             format!("{text:?} is no finding, allowed are {allowed}")
         })
@@ -100,6 +79,17 @@ pub enum Severity {
     Warning,
 }
 
+impl Severity {
+    /// The name.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Error => "error",
+            Self::Warning => "warning",
+        }
+    }
+}
+
 /// Origin of readings: each has its own remedies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
@@ -111,6 +101,8 @@ pub enum Source {
     Array,
     /// A bag, read by `joulebus import`.
     Bag,
+    /// A bag whose current is turned already.
+    TurnedBag,
     /// A bridge's file.
     Bridge,
     /// A program that publishes by itself.
@@ -126,8 +118,12 @@ pub(crate) enum Remedy {
     State(&'static str),
     /// State another unit: so many thousands of the one in which it was read, or so many. 0: none.
     Scale { read: &'static str, thousands: [i8; 2] },
-    /// Give time in the right unit, by its name in `--map`.
-    Seconds(&'static str),
+    /// Give time in the right unit, by its name in `--map` and its size, s.
+    Seconds(&'static str, f64),
+    /// State which number stands for no reading: as its file has it, and in SI units.
+    Missing { written: f64, value: f64 },
+    /// Measure the current, which always has this value in SI.
+    Unmeasured(f64),
     /// Record or use a better clock.
     Clock,
     /// Let commands expire.
@@ -138,10 +134,6 @@ pub(crate) enum Remedy {
     Sensor,
     /// Correct the values, or their limits.
     Limits,
-    /// State which number stands for no reading: as its file has it, and in SI units.
-    Missing { written: f64, value: f64 },
-    /// Measure the current, which always has this value in SI.
-    Unmeasured(f64),
     /// Divide the recording.
     Split,
     /// Name columns that belong together.
@@ -154,79 +146,57 @@ pub(crate) enum Remedy {
     Read,
 }
 
-/// An edit of the mapping of a recording, which may remedy a finding.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Edit {
-    /// Turn the sign of the current, and of a power that has its sign.
-    Turn,
-    /// Read a quantity in another unit, in which its values are so many times as large.
-    Unit {
-        /// The quantity.
-        quantity: Quantity,
-        /// The unit, as a mapping names it.
-        unit: String,
-        /// The factor.
-        factor: f64,
-    },
-    /// Read the time in another unit.
-    Time {
-        /// The unit, as a mapping names it.
-        unit: &'static str,
-        /// Its size, s.
-        unit_s: f64,
-    },
-    /// A number stands for no reading.
-    Missing {
-        /// The quantity that has it.
-        quantity: Quantity,
-        /// The number as the file has it, and in SI units.
-        written: f64,
-        /// In SI units, with the sign of joulebus.
-        value: f64,
-    },
-}
-
-impl Edit {
-    /// Applies it to an observation. `turns_power`: power has the sign of the current. `is_product`:
-    /// power is voltage times current.
-    pub fn apply(&self, seen: &mut Observation, turns_power: bool, is_product: bool) {
+impl Remedy {
+    /// What to do in a file, a bag, a bridge's file and a program: as in a file where it is empty.
+    /// Of remedies with edits, what to do if no edit is one. Q is the quantity, C its column.
+    const fn words(self) -> [&'static str; 4] {
         match self {
-            Self::Turn => {
-                seen.current_a = -seen.current_a;
-                if turns_power {
-                    seen.power_w = -seen.power_w;
-                }
+            Self::Turn | Self::State(_) | Self::Scale { .. } | Self::Seconds(..) => [
+                "correct the values of C: no option mends them",
+                "correct the driver: no option mends its Q",
+                "correct the source: no key of the bridge's file mends its Q",
+                "publish Q in SI units, positive while the battery discharges",
+            ],
+            // Zero is a speed and a current as well.
+            Self::Missing { written: 0.0, .. } => {
+                ["leave the fields empty where there is no reading", "", "", ""]
             }
-            Self::Unit { quantity, factor, .. } => *seen.value_mut(*quantity) *= factor,
-            Self::Time { unit_s, .. } => seen.time_s *= unit_s,
-            Self::Missing { quantity, value, .. } => {
-                let found = seen.value_mut(*quantity);
-                if (*found - value).abs() <= 1e-6 * value.abs() {
-                    *found = f64::NAN;
-                }
+            Self::Missing { .. } | Self::Unmeasured(_) => {
+                ["leave Q out where there is no reading", "", "", ""]
             }
-        }
-        if is_product {
-            seen.power_w = seen.voltage_v * seen.current_a;
-        }
-    }
-
-    /// The options that say it of a recording. `column`: the name of the quantity's column.
-    fn option(&self, source: Source, column: &str) -> String {
-        let quoted = |text: String| match text.contains(|letter: char| letter.is_whitespace()) {
-            true => format!("'{text}'"),
-            false => text,
-        };
-        match self {
-            Self::Turn if source == Source::TurnedRecording => {
-                "--current discharge-positive".to_owned()
+            Self::Clock => ["record times that advance with every row", "", "", ""],
+            Self::Expire => [
+                "record what the robot executes, 0 where it stopped by itself",
+                "set command_holds_s in a mapping file",
+                "set command_holds_s",
+                "",
+            ],
+            Self::Name => [
+                "name its column with --map Q=COLUMN",
+                "name its topic in a mapping file",
+                "correct its topic or `at` in the bridge's file",
+                "publish Q",
+            ],
+            Self::Limits => {
+                let limits = "correct the values, or state another platform's limits";
+                let own = "correct the values or the platform's limits";
+                [limits, "", own, own]
             }
-            Self::Turn => "--current discharge-negative".to_owned(),
-            Self::Unit { quantity, unit, .. } => {
-                format!("--map {}", quoted(format!("{}_{unit}={column}", quantity.name())))
+            Self::Sensor => ["check the sensor and its driver", "", "", ""],
+            Self::Split => ["divide the recording where it changes", "", "", ""],
+            Self::Agree => {
+                let agree =
+                    "name power, voltage and current of one circuit, or leave out the others";
+                [agree, "", "", ""]
             }
-            Self::Time { unit, .. } => format!("--map {}", quoted(format!("time_{unit}={column}"))),
-            Self::Missing { written, .. } => format!("--map missing:={written}"),
+            Self::Counter => {
+                ["record the Q itself: an energy (Wh) or a charge (Ah) is not read", "", "", ""]
+            }
+            Self::Apart => {
+                let apart = "give each source a topic of its own, or stop one";
+                ["record one source", apart, apart, ""]
+            }
+            Self::Read => ["leave it out where it is none", "", "", ""],
         }
     }
 }
@@ -251,6 +221,18 @@ pub struct Finding {
 }
 
 impl Finding {
+    pub(crate) fn new(
+        (kind, severity): (Kind, Severity),
+        quantity: impl Into<Option<Quantity>>,
+        readings: u64,
+        remedy: Remedy,
+        found: String,
+        allowed: impl Into<String>,
+    ) -> Self {
+        let (quantity, allowed) = (quantity.into(), allowed.into());
+        Self { kind, quantity, severity, readings, found, allowed, remedy }
+    }
+
     /// In a row of a file, another recording begins: there the time goes back by so much, s, or the
     /// header comes again.
     #[must_use]
@@ -259,62 +241,46 @@ impl Finding {
             Some(back_s) => format!("the time goes back by {} s", number(back_s)),
             None => "the header comes again".to_owned(),
         };
-        Self {
-            kind: Kind::Clock,
-            quantity: None,
-            severity: Severity::Warning,
-            readings: 1,
-            found: format!("{what} in row {row}. The rows from there on are another trial"),
-            allowed: "a file has one recording".to_owned(),
-            remedy: Remedy::Split,
-        }
+        let found = format!("{what} in row {row}. The rows from there on are another trial");
+        let of = (Kind::Clock, Severity::Warning);
+        Self::new(of, None, 1, Remedy::Split, found, "a file has one recording")
     }
 
     /// A column looks like a command, and is not read: `option` reads it.
     #[must_use]
     pub fn unread(column: &str, option: &str, rows: u64) -> Self {
-        Self {
-            kind: Kind::NeverCame,
-            quantity: Some(Quantity::V),
-            severity: Severity::Warning,
-            readings: rows,
-            found: format!(
-                "column {column} looks like a command and is not read. Forecasts are better with it"
-            ),
-            allowed: format!("if it is one, it is read with {option}"),
-            remedy: Remedy::Read,
-        }
+        let found = format!(
+            "column {column} looks like a command and is not read. Forecasts are better with it"
+        );
+        let allowed = format!("if it is one, it is read with {option}");
+        let of = (Kind::NeverCame, Severity::Warning);
+        Self::new(of, Quantity::V, rows, Remedy::Read, found, allowed)
     }
 
-    /// The edits of a recording's mapping that may remedy it, of which one is right. `column` is the
-    /// name that the recording has for the quantity.
+    /// True if another one is of the same kind and quantity.
+    #[must_use]
+    pub fn is_like(&self, other: &Self) -> bool {
+        (self.kind, self.quantity) == (other.kind, other.quantity)
+    }
+
+    /// The edits of a mapping that may remedy it, of which one is right. `column` is the name that
+    /// the source has for the quantity.
     #[must_use]
     pub fn edits(&self, column: Option<&str>) -> Vec<Edit> {
-        let Some(quantity) = self.quantity else {
-            return match self.remedy {
-                Remedy::Seconds(unit) => {
-                    let sizes =
-                        [("ns", 1e-9), ("us", 1e-6), ("ms", 1e-3), ("min", 60.0), ("h", 3.6e3)];
-                    let size = sizes.into_iter().find(|(name, _)| *name == unit);
-                    vec![Edit::Time { unit, unit_s: size.map_or(86_400.0, |(_, size)| size) }]
-                }
-                _ => Vec::new(),
-            };
-        };
-        match self.remedy {
-            Remedy::Turn => vec![Edit::Turn],
-            Remedy::Scale { read, thousands } => {
-                let read =
-                    column.and_then(|column| stated(quantity.name(), column)).unwrap_or(read);
+        match (self.remedy, self.quantity) {
+            (Remedy::Seconds(unit, unit_s), _) => vec![Edit::Time { unit, unit_s }],
+            (Remedy::Turn, _) => vec![Edit::Turn],
+            (Remedy::Scale { read, thousands }, Some(quantity)) => {
+                let stated = column.and_then(|column| stated(quantity.name(), column));
                 let edit = |steps: i8| {
-                    let unit = scaled(read, [steps, 0]).pop()?;
+                    let unit = scaled(stated.unwrap_or(read), steps)?.to_owned();
                     Some(Edit::Unit { quantity, unit, factor: 1e3_f64.powi(steps.into()) })
                 };
                 let [first, second] = thousands;
                 let several = [Some(first), Some(second).filter(|second| *second != 0)];
                 several.into_iter().flatten().filter_map(edit).collect()
             }
-            Remedy::State(unit) => {
+            (Remedy::State(unit), Some(quantity)) => {
                 let factor = match unit {
                     "percent" | "cmps" => 1e-2,
                     "share" => 1e2,
@@ -324,15 +290,15 @@ impl Finding {
                 };
                 vec![Edit::Unit { quantity, unit: unit.to_owned(), factor }]
             }
-            Remedy::Missing { written, value } if written != 0.0 => {
+            (Remedy::Missing { written, value }, Some(quantity)) if written != 0.0 => {
                 vec![Edit::Missing { quantity, written, value }]
             }
             _ => Vec::new(),
         }
     }
 
-    /// The remedy, in the words of the source. `column` is the name that the source has for the
-    /// quantity, if known.
+    /// The remedy, in the words of the source, as if each of its edits worked. `column` is the name
+    /// that the source has for the quantity, if known.
     #[must_use]
     pub fn remedy(&self, source: Source, column: Option<&str>) -> String {
         self.remedy_by(source, column, &self.edits(column))
@@ -342,155 +308,61 @@ impl Finding {
     #[must_use]
     pub fn remedy_by(&self, source: Source, column: Option<&str>, edits: &[Edit]) -> String {
         let quantity = self.quantity.map_or("time", Quantity::name);
-        let column = column.unwrap_or("COLUMN");
-        let accept = self.kind;
-        // The field of a mapping that may make power of the current.
-        let field = match self.quantity {
-            Some(Quantity::Power) => "power`, or `current",
-            _ => quantity,
-        };
-        let is_recording = matches!(source, Source::Recording | Source::TurnedRecording);
-        let takes_option = is_recording
-            || (source == Source::Array
-                && matches!(self.remedy, Remedy::Turn | Remedy::Missing { .. }));
-        let options: Vec<String> = edits.iter().map(|edit| edit.option(source, column)).collect();
-        let options = options.join(" or ");
-        let remedy = match (self.remedy, source) {
-            (Remedy::Turn | Remedy::Scale { .. } | Remedy::State(_) | Remedy::Seconds(_), _)
-                if takes_option && edits.is_empty() =>
-            {
-                format!("correct the values of {column}: no option mends them")
-            }
-            (Remedy::Turn, _) if takes_option => format!("turn the sign with {options}"),
-            (Remedy::Scale { .. } | Remedy::State(_), _) if is_recording => {
-                format!("state the unit, {options}, or correct the file")
-            }
-            (Remedy::Seconds(_), _) if is_recording => {
-                format!("state the unit of the time, such as {options}")
-            }
-            (Remedy::Turn, Source::Recording | Source::TurnedRecording | Source::Array) => {
-                "correct the sign".to_owned()
-            }
-            (Remedy::Turn, Source::Bag) => {
-                "state the other sign with --current discharge-positive or discharge-negative"
-                    .to_owned()
-            }
-            (Remedy::Turn, Source::Bridge) => format!(
-                "turn the sign: of MQTT with negate = true in the field `{field}`, of ROS 2 and VDA \
-                 5050 with the other `current`"
-            ),
-            (Remedy::Turn, Source::Program) => format!("publish {quantity} with the other sign"),
-            (Remedy::Scale { .. } | Remedy::State(_), Source::Array) => format!(
-                "convert its {quantity}, because an array has s, m/s, rad/s, mV, mA and mW, or give a \
-                 CSV with --map"
-            ),
-            (
-                Remedy::Scale { .. } | Remedy::State(_),
-                Source::Recording | Source::TurnedRecording,
-            ) => {
-                format!("correct the values of {column}, or the unit in its name")
-            }
-            (Remedy::Scale { thousands: [thousands, _], .. }, Source::Bag) => format!(
-                "state the unit in a mapping file, such as {quantity}_unit = {}",
-                1e3_f64.powi(thousands.into())
-            ),
-            (Remedy::State(_), Source::Bag) => {
-                format!("state the unit in a mapping file, such as {quantity}_unit = 0.001")
-            }
-            (Remedy::Scale { thousands, .. }, Source::Bridge) => {
-                let si = self.quantity.map_or("", Quantity::unit);
-                let fields = fields(quantity, &scaled(si, thousands));
-                format!(
-                    "state the unit in the field, {fields}. A BatteryState of ROS 2 has V and A: \
-                     correct its driver"
-                )
-            }
-            (Remedy::State(unit), Source::Bridge) => {
-                // The units of a bridge's file.
-                let unit = match unit {
-                    "percent" => "%",
-                    "cmps" => "cm/s",
-                    "mmps" => "mm/s",
-                    "degps" => "deg/s",
-                    other => other,
-                };
-                let ros = match quantity {
-                    "soc" => ". Of ROS 2, set percentage_unit = \"%\"",
-                    _ => "",
-                };
-                format!(
-                    "state the unit in the field, {}{ros}",
-                    fields(quantity, &[unit.to_owned()])
-                )
-            }
-            (Remedy::Scale { .. }, Source::Program) => {
-                format!("publish {quantity} in {}", self.quantity.map_or("", Quantity::unit))
-            }
-            (Remedy::State(unit), Source::Program) => {
-                format!("publish {quantity} in SI units, not in {unit}")
-            }
-            (Remedy::Seconds(unit), Source::Array) => {
-                format!("convert its time, which seems to be in {unit}, to seconds")
-            }
-            (Remedy::Seconds(unit), _) => {
-                format!("state the unit of the time, such as --map time_{unit}={column}")
-            }
-            (Remedy::Clock, Source::Bag) => "use the time of recording with --time log".to_owned(),
-            (Remedy::Clock, _) => "record times that advance with every row".to_owned(),
-            (Remedy::Expire, Source::Bridge) => "set command_holds_s".to_owned(),
-            (Remedy::Expire, Source::Bag) => "set command_holds_s in a mapping file".to_owned(),
-            (Remedy::Expire, _) => {
-                "record what the robot executes, 0 where it stopped by itself".to_owned()
-            }
-            (Remedy::Name, Source::Recording | Source::TurnedRecording | Source::Array) => {
-                format!("name its column with --map {quantity}=COLUMN")
-            }
-            (Remedy::Name, Source::Bag) => "name its topic in a mapping file".to_owned(),
-            (Remedy::Name, Source::Bridge) => {
-                "correct its topic or `at` in the bridge's file".to_owned()
-            }
-            (Remedy::Name, Source::Program) => format!("publish {quantity}"),
-            (
-                Remedy::Limits,
-                Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag,
-            ) => "correct the values, or state another platform's limits".to_owned(),
-            (Remedy::Limits, _) => "correct the values or the platform's limits".to_owned(),
-            // Zero is a speed and a current as well.
-            (Remedy::Missing { written: 0.0, .. }, _) => {
-                "leave the fields empty where there is no reading".to_owned()
-            }
-            (Remedy::Missing { .. }, _) if takes_option && !edits.is_empty() => {
-                format!("say that it is no reading with {options}")
-            }
-            (Remedy::Missing { .. }, _) => {
-                format!("leave {quantity} out where there is no reading")
-            }
-            (Remedy::Unmeasured(value), source) => unmeasured(value, source, column),
-            (Remedy::Split, _) => "divide the recording where it changes".to_owned(),
-            (Remedy::Agree, _) => {
-                "name power, voltage and current of one circuit, or leave out the others".to_owned()
-            }
-            (Remedy::Read, _) => "leave it out where it is none".to_owned(),
-            (Remedy::Counter, _) => {
-                format!("record the {quantity} itself: an energy (Wh) or a charge (Ah) is not read")
-            }
-            (Remedy::Apart, Source::Recording | Source::TurnedRecording) if column != "COLUMN" => {
+        let column = column.unwrap_or(UNNAMED);
+        let options = edits.iter().filter_map(|edit| edit.said(source, column));
+        let options = options.collect::<Vec<_>>().join(" or ");
+        let is_file = matches!(source, Source::Recording | Source::TurnedRecording | Source::Array);
+        let remedy = match self.remedy {
+            Remedy::Unmeasured(value) => unmeasured(value, source, column),
+            Remedy::Apart if is_file && column != UNNAMED => {
                 format!("tell the sources apart, --map robot={column}, or record one of them")
             }
-            (Remedy::Apart, Source::Bag | Source::Bridge) => {
-                "give each source a topic of its own, or stop one".to_owned()
+            _ if !options.is_empty() && source == Source::Program => {
+                format!("publish {quantity} with {options}")
             }
-            (Remedy::Apart, _) => "record one source".to_owned(),
-            (Remedy::Sensor, _) => "check the sensor and its driver".to_owned(),
+            Remedy::Turn if !options.is_empty() => format!("turn the sign with {options}"),
+            Remedy::Missing { .. } if !options.is_empty() => {
+                format!("say that it is no reading with {options}")
+            }
+            Remedy::Seconds(..) if !options.is_empty() => {
+                format!("state the unit of the time, {options}")
+            }
+            _ if !options.is_empty() => format!("state the unit, {options}, or correct the source"),
+            // Its columns have one unit each.
+            Remedy::Scale { .. } | Remedy::State(_) | Remedy::Seconds(..)
+                if source == Source::Array =>
+            {
+                format!(
+                    "convert its {quantity}, because an array has s, m/s, rad/s, mV, mA and mW, or \
+                     give a CSV with --map"
+                )
+            }
+            other => {
+                let words = other.words();
+                let own = match source {
+                    _ if is_file => words[0],
+                    Source::Bag | Source::TurnedBag => words[1],
+                    Source::Bridge => words[2],
+                    _ => words[3],
+                };
+                let own = if own.is_empty() { words[0] } else { own };
+                let named = |word: &str| match word.strip_suffix([',', ':']).unwrap_or(word) {
+                    "Q" => word.replace('Q', quantity),
+                    "C" => word.replace('C', column),
+                    "Q=COLUMN" => format!("{quantity}=COLUMN"),
+                    _ => word.to_owned(),
+                };
+                own.split(' ').map(named).collect::<Vec<_>>().join(" ")
+            }
         };
-        match source {
+        let kind = self.kind;
+        match (self.remedy, source) {
             // Accepting it would turn an unknown into a number.
-            _ if matches!(self.remedy, Remedy::Unmeasured(_)) => remedy,
-            Source::Recording | Source::TurnedRecording | Source::Array | Source::Bag => {
-                format!("{remedy}. If it is right, add --accept {accept}")
+            (Remedy::Unmeasured(_), _) | (_, Source::Program) => remedy,
+            (_, Source::Bridge) => {
+                format!("{remedy}. If it is right, set accept = [\"{kind}\"]")
             }
-            Source::Bridge => format!("{remedy}. If it is right, set accept = [\"{accept}\"]"),
-            Source::Program => remedy,
+            _ => format!("{remedy}. If it is right, add --accept {kind}"),
         }
     }
 
@@ -553,31 +425,11 @@ fn stated(quantity: &str, column: &str) -> Option<&'static str> {
     units.iter().find(|unit| unit.eq_ignore_ascii_case(last)).copied()
 }
 
-/// The units that are so many thousands of another one.
-fn scaled(read: &str, thousands: [i8; 2]) -> Vec<String> {
-    let all = UNITS.iter().find(|(_, units)| units.contains(&read) && !read.is_empty());
-    let Some((at, units)) =
-        all.and_then(|(_, units)| Some((units.iter().position(|unit| *unit == read)?, units)))
-    else {
-        return Vec::new();
-    };
-    let [first, second] = thousands;
-    let of = |steps: i8| {
-        let place = usize::try_from(at as i64 + i64::from(steps)).ok();
-        place.and_then(|place| units.get(place)).filter(|unit| !unit.is_empty())
-    };
-    let several = [Some(first), Some(second).filter(|second| *second != 0)];
-    several.into_iter().flatten().filter_map(of).map(|unit| (*unit).to_owned()).collect()
-}
-
-/// The field of a bridge's file that states a unit, or one of several.
-fn fields(quantity: &str, units: &[String]) -> String {
-    let fields: Vec<String> =
-        units.iter().map(|unit| format!("{quantity} = {{ at = …, unit = \"{unit}\" }}")).collect();
-    match fields.is_empty() {
-        true => format!("{quantity} = {{ at = …, unit = … }}"),
-        false => fields.join(" or "),
-    }
+/// The unit that is so many thousands of another one.
+fn scaled(read: &str, thousands: i8) -> Option<&'static str> {
+    let (_, units) = UNITS.iter().find(|(_, units)| units.contains(&read) && !read.is_empty())?;
+    let at = units.iter().position(|unit| *unit == read)? as i64 + i64::from(thousands);
+    units.get(usize::try_from(at).ok()?).copied().filter(|unit| !unit.is_empty())
 }
 
 impl fmt::Display for Finding {

@@ -12,6 +12,7 @@ use crate::sentinel::{Reserved, dropped, sentinel, silent};
 use crate::sign::{Sign, negative_voltage};
 use crate::sizes::Sizes;
 use crate::unit::Magnitudes;
+use Quantity::{Current, Power, Voltage};
 
 /// Values before a column that never changes is one.
 const MIN_CONSTANT: u64 = 100;
@@ -101,6 +102,10 @@ impl Known {
     pub const fn turned(mut self, turned: bool) -> Self {
         self.turned = turned;
         self
+    }
+
+    pub(crate) const fn is_turned(&self) -> bool {
+        self.turned
     }
 
     /// A current as it was recorded, and the other way round.
@@ -211,12 +216,12 @@ impl Judge {
     #[must_use]
     pub fn findings(&self) -> Vec<Finding> {
         // A current that nobody measures has no sign, and neither has the power made of it.
-        let of_current =
-            |one: Option<Quantity>| matches!(one, Some(Quantity::Power | Quantity::Current));
+        let of_current = |one: Option<Quantity>| matches!(one, Some(Power | Current));
         // Neither has it a unit. While it comes, it may turn out that nobody measures it.
         let makes_power = self.makes_power();
         let is_undecided = makes_power || self.is_undecided();
-        let mut found = if is_undecided { Vec::new() } else { self.signs() };
+        let mut found: Vec<Finding> =
+            (!is_undecided).then(|| self.signs()).flatten().into_iter().collect();
         found.extend(self.voltage_sign());
         let magnitudes = Magnitudes {
             columns: &self.columns,
@@ -230,6 +235,7 @@ impl Judge {
         };
         let units = magnitudes.judge().into_iter();
         found.extend(units.filter(|one| !(is_undecided && of_current(one.quantity))));
+        found.extend(self.rate());
         found.extend(self.clock());
         found.extend(self.holds());
         for quantity in Quantity::ALL {
@@ -240,7 +246,7 @@ impl Judge {
                 continue;
             }
             // Values in another unit or with the other sign are out of range as well.
-            let reserved = self.reserved().filter(|_| quantity == Quantity::Current);
+            let reserved = self.reserved().filter(|_| quantity == Current);
             let sentinel = reserved.or_else(|| self.sentinels(quantity, column));
             let is_read = sentinel.is_none();
             found.extend(sentinel);
@@ -258,71 +264,42 @@ impl Judge {
         found
     }
 
-    fn signs(&self) -> Vec<Finding> {
-        let mut found = Vec::new();
+    /// The signs of power and current: the first that is wrong.
+    fn signs(&self) -> Option<Finding> {
+        const ALLOWED: &str = "power is positive while the battery discharges";
         if let Some(wrong) = self.sign.power(self.known.whole) {
             let (readings, of, why) = (wrong.readings, wrong.of, wrong.why);
-            found.push(Finding {
-                kind: Kind::Sign,
-                quantity: Some(Quantity::Power),
-                severity: wrong.severity,
-                readings,
-                found: format!("power is negative in {readings} of {of} readings {why}"),
-                allowed: "power is positive while the battery discharges".to_owned(),
-                remedy: Remedy::Turn,
-            });
-        } else if let Some((readings, of)) = self.sign.current() {
-            found.push(Finding {
-                kind: Kind::Sign,
-                quantity: Some(Quantity::Current),
-                severity: Severity::Warning,
-                readings,
-                found: format!(
-                    "the current has another sign than power in {readings} of {of} readings"
-                ),
-                allowed: "both are positive while the battery discharges".to_owned(),
-                remedy: Remedy::Turn,
-            });
+            let what = format!("power is negative in {readings} of {of} readings {why}");
+            let of = (Kind::Sign, wrong.severity);
+            return Some(Finding::new(of, Power, readings, Remedy::Turn, what, ALLOWED));
         }
-        if found.is_empty()
-            && let Some(readings) = self.sign.changes()
-        {
-            found.push(Finding {
-                kind: Kind::Sign,
-                quantity: Some(Quantity::Power),
-                severity: Severity::Error,
-                readings,
-                found: format!(
-                    "the sign of power changes: in {readings} negative readings the voltage falls while it grows"
-                ),
-                allowed: "power is positive while the battery discharges".to_owned(),
-                remedy: Remedy::Split,
-            });
+        if let Some((readings, of)) = self.sign.current() {
+            let what =
+                format!("the current has another sign than power in {readings} of {of} readings");
+            let allowed = "both are positive while the battery discharges";
+            let of = (Kind::Sign, Severity::Warning);
+            return Some(Finding::new(of, Current, readings, Remedy::Turn, what, allowed));
         }
-        if found.is_empty()
-            && let Some((drawn, fed, size_w)) = self.sign.mirrored()
-        {
-            found.push(Finding {
-                kind: Kind::Sign,
-                quantity: Some(Quantity::Power),
-                severity: Severity::Error,
-                readings: fed,
-                found: format!(
-                    "at the same commands power is negative in {fed} readings and positive in \
-                     {drawn}, with the same size, such as {}: its sign is not reliable",
-                    Quantity::Power.shown(size_w)
-                ),
-                allowed: "power is positive while the battery discharges".to_owned(),
-                remedy: Remedy::Sensor,
-            });
+        let of = (Kind::Sign, Severity::Error);
+        if let Some(readings) = self.sign.changes() {
+            let what = format!(
+                "the sign of power changes: in {readings} negative readings the voltage falls while \
+                 it grows"
+            );
+            return Some(Finding::new(of, Power, readings, Remedy::Split, what, ALLOWED));
         }
-        found
+        let (drawn, fed, size_w) = self.sign.mirrored()?;
+        let what = format!(
+            "at the same commands power is negative in {fed} readings and positive in {drawn}, with \
+             the same size, such as {}: its sign is not reliable",
+            Power.shown(size_w)
+        );
+        Some(Finding::new(of, Power, fed, Remedy::Sensor, what, ALLOWED))
     }
 
     /// Readings of two sources in turn: nearly each leads back to the one before the last.
     fn sources(&self, found: &[Finding]) -> Option<Finding> {
-        let mut measured = [Quantity::Current, Quantity::Power, Quantity::Voltage].into_iter();
-        measured.find_map(|quantity| {
+        [Current, Power, Voltage].into_iter().find_map(|quantity| {
             let column = &self.columns[quantity as usize];
             let moves = &column.moves;
             let usual = column.sizes.usual()?;
@@ -330,19 +307,15 @@ impl Judge {
                 && moves.back >= MOST_RETURN * moves.all
                 && moves.all >= MIN_CHANGE * usual * column.count as f64;
             let is_explained = found.iter().any(|one| one.quantity == Some(quantity));
-            (alternates && !is_explained).then(|| Finding {
-                kind: Kind::Sources,
-                quantity: Some(quantity),
-                severity: Severity::Error,
-                readings: moves.returns,
-                found: format!(
-                    "{} alternates between two levels in {} of {} readings: those of two sources",
-                    quantity.name(),
-                    moves.returns,
-                    column.count
-                ),
-                allowed: "a recording has one source".to_owned(),
-                remedy: Remedy::Apart,
+            (alternates && !is_explained).then(|| {
+                let (name, returns, of) = (quantity.name(), moves.returns, column.count);
+                let what = format!(
+                    "{name} alternates between two levels in {returns} of {of} readings: those of \
+                     two sources"
+                );
+                let of = (Kind::Sources, Severity::Error);
+                let allowed = "a recording has one source";
+                Finding::new(of, quantity, returns, Remedy::Apart, what, allowed)
             })
         })
     }
@@ -350,212 +323,166 @@ impl Judge {
     /// A number that means that there is no reading, as its file has it.
     fn sentinels(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
         let mut found = sentinels(quantity, column)?;
-        let is_turned = matches!(quantity, Quantity::Power | Quantity::Current);
-        if let (Remedy::Missing { written, .. }, true) = (&mut found.remedy, is_turned) {
+        if let (Remedy::Missing { written, .. }, Power | Current) = (&mut found.remedy, quantity) {
             *written = self.known.recorded(*written);
         }
         Some(found)
     }
 
     fn voltage_sign(&self) -> Option<Finding> {
-        let readings = negative_voltage(&self.columns[Quantity::Voltage as usize])?;
-        Some(Finding {
-            kind: Kind::Sign,
-            quantity: Some(Quantity::Voltage),
-            severity: Severity::Error,
-            readings,
-            found: format!("the voltage is negative in {readings} readings"),
-            allowed: "batteries have a positive voltage".to_owned(),
-            remedy: Remedy::Sensor,
-        })
+        let readings = negative_voltage(&self.columns[Voltage as usize])?;
+        let what = format!("the voltage is negative in {readings} readings");
+        let allowed = "batteries have a positive voltage";
+        let of = (Kind::Sign, Severity::Error);
+        Some(Finding::new(of, Voltage, readings, Remedy::Sensor, what, allowed))
     }
 
     /// The number among currents that drivers write where they measure none.
     fn reserved(&self) -> Option<Finding> {
         let (readings, recorded_a) = self.reserved.found()?;
-        let of = self.columns[Quantity::Current as usize].count;
-        Some(Finding {
-            kind: Kind::Sentinel,
-            quantity: Some(Quantity::Current),
-            severity: Severity::Error,
-            readings,
-            found: format!(
-                "current is exactly {} in {readings} of {of} readings, which drivers write where \
-                 they measure none",
-                Quantity::Current.shown(recorded_a)
-            ),
-            allowed: "a missing reading is empty or NaN".to_owned(),
-            remedy: Remedy::Unmeasured(self.known.recorded(recorded_a)),
-        })
+        let what = format!(
+            "current is exactly {} in {readings} of {} readings, which drivers write where they \
+             measure none",
+            Current.shown(recorded_a),
+            self.columns[Current as usize].count
+        );
+        let remedy = Remedy::Unmeasured(self.known.recorded(recorded_a));
+        let of = (Kind::Sentinel, Severity::Error);
+        Some(Finding::new(of, Current, readings, remedy, what, MISSING))
     }
 
     /// Power that is not voltage times current, where no unit, and no full register or number for a
     /// missing value in as many readings, explains it.
     fn mismatch(&self, found: &[Finding]) -> Option<Finding> {
-        let of = |quantity: Quantity| &self.columns[quantity as usize];
         let explains = |one: &Finding| match one.kind {
             Kind::Unit => true,
             Kind::Saturation | Kind::Sentinel => one.readings >= self.mismatches,
             _ => false,
         };
-        let is_explained = found.iter().any(explains)
-            || [Quantity::Power, Quantity::Voltage, Quantity::Current]
-                .into_iter()
-                .any(|one| of(one).is_zero());
+        let is_zero = |one: Quantity| self.columns[one as usize].is_zero();
+        let is_explained =
+            found.iter().any(explains) || [Power, Voltage, Current].into_iter().any(is_zero);
         let share = self.mismatches as f64 / self.products as f64;
         let is_most = share > MAX_MISMATCHES;
         let is_some = share > SOME_MISMATCHES && self.mismatches >= MIN_ROWS;
         if is_explained || self.products < self.known.least(MIN_ROWS) || !(is_most || is_some) {
             return None;
         }
-        let usually = match is_most {
-            true => format!(
-                ": usually {} times it",
-                number(self.ratios.usual().unwrap_or(f64::INFINITY))
-            ),
-            false => String::new(),
+        let (severity, usually) = match is_most {
+            true => {
+                let times = number(self.ratios.usual().unwrap_or(f64::INFINITY));
+                (Severity::Error, format!(": usually {times} times it"))
+            }
+            false => (Severity::Warning, String::new()),
         };
-        Some(Finding {
-            kind: Kind::Mismatch,
-            quantity: Some(Quantity::Power),
-            severity: if is_most { Severity::Error } else { Severity::Warning },
-            readings: self.mismatches,
-            found: format!(
-                "power is not voltage times current in {} of {} readings{usually}",
-                self.mismatches, self.products
-            ),
-            allowed: "they agree within 10 %".to_owned(),
-            remedy: Remedy::Agree,
-        })
+        let what = format!(
+            "power is not voltage times current in {} of {} readings{usually}",
+            self.mismatches, self.products
+        );
+        let (of, readings) = ((Kind::Mismatch, severity), self.mismatches);
+        Some(Finding::new(of, Power, readings, Remedy::Agree, what, "they agree within 10 %"))
     }
 
-    fn clock(&self) -> Vec<Finding> {
+    fn rate(&self) -> Option<Finding> {
         let times = &self.times;
-        let finding = |kind, severity, readings, found, allowed: String, remedy| Finding {
-            kind,
-            quantity: None,
-            severity,
-            readings,
-            found,
-            allowed,
-            remedy,
-        };
-        let mut found = Vec::new();
         // A robot that reports once a minute has a name for its unit, or texts.
         let (least_hz, greatest_hz) = match self.known.time {
             TimeUnit::Certain => STATED_RATE_HZ,
             TimeUnit::Named => (RATE_HZ.0, STATED_RATE_HZ.1),
             TimeUnit::Unstated => RATE_HZ,
         };
-        let rate_hz = times.rate_hz().filter(|_| times.rows >= self.known.least(MIN_ROWS));
-        if let Some(rate_hz) = rate_hz.filter(|rate_hz| !(least_hz..=greatest_hz).contains(rate_hz))
-        {
-            let what = format!("{} rows a second: is the time in seconds?", number(rate_hz));
-            let allowed = format!("allowed are {least_hz} to {greatest_hz}");
-            let may_be =
-                self.known.time == TimeUnit::Named && (STATED_RATE_HZ.0..1.0).contains(&rate_hz);
-            let severity = if may_be { Severity::Warning } else { Severity::Error };
-            let kind = Kind::Unit;
-            found.push(finding(
-                kind,
-                severity,
-                times.rows,
-                what,
-                allowed,
-                Remedy::Seconds(match rate_hz {
-                    ..1e-7 => "ns",
-                    ..1e-4 => "us",
-                    ..1.0 => "ms",
-                    ..2e4 => "min",
-                    ..5e5 => "h",
-                    _ => "d",
-                }),
-            ));
+        let rate_hz = times.rate_hz().filter(|_| times.rows >= self.known.least(MIN_ROWS))?;
+        if (least_hz..=greatest_hz).contains(&rate_hz) {
+            return None;
         }
+        let may_be =
+            self.known.time == TimeUnit::Named && (STATED_RATE_HZ.0..1.0).contains(&rate_hz);
+        let (unit, unit_s) = match rate_hz {
+            ..1e-7 => ("ns", 1e-9),
+            ..1e-4 => ("us", 1e-6),
+            ..1.0 => ("ms", 1e-3),
+            ..2e4 => ("min", 60.0),
+            ..5e5 => ("h", 3.6e3),
+            _ => ("d", 86_400.0),
+        };
+        let what = format!("{} rows a second: is the time in seconds?", number(rate_hz));
+        let allowed = format!("allowed are {least_hz} to {greatest_hz}");
+        let of = (Kind::Unit, if may_be { Severity::Warning } else { Severity::Error });
+        Some(Finding::new(of, None, times.rows, Remedy::Seconds(unit, unit_s), what, allowed))
+    }
+
+    fn clock(&self) -> Option<Finding> {
+        let times = &self.times;
         let lost = times.repeated + times.backward;
-        let allowed = "every row is later than the one before".to_owned();
-        if times.loses_many() {
+        let (severity, readings, what) = if times.loses_many() {
             let why = match (times.has_whole_seconds(), times.backward > times.repeated) {
                 (true, _) => ": the times have whole seconds",
                 (false, true) => ": the clock was set back, or two recordings are mixed",
                 (false, false) => ": the clock stands still",
             };
-            let what =
-                format!("{lost} of {} rows are not later than those before{why}", times.rows);
-            let (kind, severity) = (Kind::Clock, Severity::Error);
-            found.push(finding(kind, severity, lost, what, allowed, Remedy::Clock));
+            let of = times.rows;
+            let what = format!("{lost} of {of} rows are not later than those before{why}");
+            (Severity::Error, lost, what)
         } else if times.back_s > 1.0 {
             let what = format!("the time goes back by up to {} s", number(times.back_s));
-            let (kind, severity) = (Kind::Clock, Severity::Warning);
-            found.push(finding(kind, severity, times.backward, what, allowed, Remedy::Clock));
-        }
-        found
+            (Severity::Warning, times.backward, what)
+        } else {
+            return None;
+        };
+        let allowed = "every row is later than the one before";
+        let of = (Kind::Clock, severity);
+        Some(Finding::new(of, None, readings, Remedy::Clock, what, allowed))
     }
 
     fn holds(&self) -> Option<Finding> {
         let held = self.hold.too_long()?;
-        Some(Finding {
-            kind: Kind::Hold,
-            quantity: Some(Quantity::V),
-            severity: Severity::Warning,
-            readings: held.rows,
-            found: format!(
-                "a command of {} m/s and {} rad/s applies unchanged for {} s, and nothing moves",
-                number(held.v_mps),
-                number(held.omega_radps),
-                number(held.held_s)
-            ),
-            allowed: "a command ends with its controller, or the robot is stuck".to_owned(),
-            remedy: Remedy::Expire,
-        })
+        let what = format!(
+            "a command of {} m/s and {} rad/s applies unchanged for {} s, and nothing moves",
+            number(held.v_mps),
+            number(held.omega_radps),
+            number(held.held_s)
+        );
+        let allowed = "a command ends with its controller, or the robot is stuck";
+        let of = (Kind::Hold, Severity::Warning);
+        Some(Finding::new(of, Quantity::V, held.rows, Remedy::Expire, what, allowed))
     }
 
     fn missing(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
-        let is_missing = self.known.expected[quantity as usize]
-            && column.count == 0
-            && self.times.rows >= MIN_MISSING;
-        is_missing.then(|| Finding {
-            kind: Kind::NeverCame,
-            quantity: Some(quantity),
-            severity: Severity::Warning,
-            readings: self.times.rows,
-            found: format!("{} never came in {} observations", quantity.name(), self.times.rows),
-            allowed: "what the source names has values".to_owned(),
-            remedy: Remedy::Name,
+        let rows = self.times.rows;
+        let is_missing =
+            self.known.expected[quantity as usize] && column.count == 0 && rows >= MIN_MISSING;
+        is_missing.then(|| {
+            let what = format!("{} never came in {rows} observations", quantity.name());
+            let allowed = "what the source names has values";
+            let of = (Kind::NeverCame, Severity::Warning);
+            Finding::new(of, quantity, rows, Remedy::Name, what, allowed)
         })
     }
 
     fn range(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
         let (least, greatest) = self.known.ranges[quantity as usize]?;
-        if column.outside == 0 {
+        let Column { outside, count, .. } = *column;
+        if outside == 0 {
             return None;
         }
-        let share = column.outside as f64 / column.count as f64;
-        let is_wrong = share > MOSTLY && column.count >= self.known.least(MIN_ROWS);
-        Some(Finding {
-            kind: Kind::Range,
-            quantity: Some(quantity),
-            severity: if is_wrong { Severity::Error } else { Severity::Warning },
-            readings: column.outside,
-            found: format!(
-                "{} of {} values of {} are out of range: {} to {}",
-                column.outside,
-                column.count,
-                quantity.name(),
-                number(column.least),
-                quantity.shown(column.greatest)
-            ),
-            allowed: format!("allowed are {} to {}", number(least), quantity.shown(greatest)),
-            remedy: Remedy::Limits,
-        })
+        let is_wrong =
+            outside as f64 > MOSTLY * count as f64 && count >= self.known.least(MIN_ROWS);
+        let what = format!(
+            "{outside} of {count} values of {} are out of range: {} to {}",
+            quantity.name(),
+            number(column.least),
+            quantity.shown(column.greatest)
+        );
+        let allowed = format!("allowed are {} to {}", number(least), quantity.shown(greatest));
+        let of = (Kind::Range, if is_wrong { Severity::Error } else { Severity::Warning });
+        Some(Finding::new(of, quantity, outside, Remedy::Limits, what, allowed))
     }
 
     /// True if the current is no measurement. A robot at rest that does not say so may show a
     /// constant one, until it drives.
     fn is_unmeasured(&self) -> bool {
-        let current = &self.columns[Quantity::Current as usize];
         let is_constant = self.known.whole && self.monitor.is_constant();
-        !current.is_zero() && (is_constant || self.monitor.is_unmeasured())
+        !self.columns[Current as usize].is_zero() && (is_constant || self.monitor.is_unmeasured())
     }
 
     /// True if the current is no measurement, and power is made of it.
@@ -567,79 +494,52 @@ impl Judge {
     /// True if power is made of a current that may turn out to be no measurement.
     fn is_undecided(&self) -> bool {
         let is_product = self.products > 0 && self.mismatches == 0;
-        let current = &self.columns[Quantity::Current as usize];
-        !self.known.whole && is_product && !current.is_zero() && self.monitor.is_undecided()
-    }
-
-    /// A current that never changes while the voltage does.
-    fn unmeasured(&self, column: &Column) -> Finding {
-        Finding {
-            kind: Kind::Constant,
-            quantity: Some(Quantity::Current),
-            severity: if self.makes_power() { Severity::Error } else { Severity::Warning },
-            readings: column.count,
-            found: format!(
-                "the current is {} in each of {} readings, while the voltage changes: it is not \
-                 measured",
-                Quantity::Current.shown(self.known.recorded(column.first)),
-                column.count
-            ),
-            allowed: "a current changes with what the robot does".to_owned(),
-            remedy: Remedy::Unmeasured(column.first),
-        }
+        let is_zero = self.columns[Current as usize].is_zero();
+        !self.known.whole && is_product && !is_zero && self.monitor.is_undecided()
     }
 
     fn constant(&self, quantity: Quantity, column: &Column) -> Option<Finding> {
-        if quantity == Quantity::Current && self.is_unmeasured() {
-            return Some(self.unmeasured(column));
-        }
-        let power = &self.columns[Quantity::Power as usize];
-        let is_measured =
-            matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);
-        if !is_measured || column.varies {
-            return None;
+        let (name, value) = (quantity.name(), column.first);
+        if quantity == Current && self.is_unmeasured() {
+            // A current that never changes while the voltage does.
+            let what = format!(
+                "the current is {} in each of {} readings, while the voltage changes: it is not \
+                 measured",
+                Current.shown(self.known.recorded(value)),
+                column.count
+            );
+            let allowed = "a current changes with what the robot does";
+            let severity = if self.makes_power() { Severity::Error } else { Severity::Warning };
+            let (of, remedy) = ((Kind::Constant, severity), Remedy::Unmeasured(value));
+            return Some(Finding::new(of, Current, column.count, remedy, what, allowed));
         }
         // A current of 0 explains a power of 0, and the other way round.
         let (severity, least) = match (quantity, column.is_zero()) {
-            (Quantity::Power, true) => (Severity::Error, MIN_ROWS),
-            (Quantity::Power, false) => (Severity::Warning, MIN_CONSTANT),
-            (_, true) if power.is_zero() => return None,
-            (_, true) => (Severity::Warning, MIN_ROWS),
+            _ if column.varies => return None,
+            (Power, true) => (Severity::Error, MIN_ROWS),
+            (Power, false) => (Severity::Warning, MIN_CONSTANT),
+            (Voltage | Current, true) if !self.columns[Power as usize].is_zero() => {
+                (Severity::Warning, MIN_ROWS)
+            }
             _ => return None,
         };
-        (column.count >= least).then(|| Finding {
-            kind: Kind::Constant,
-            quantity: Some(quantity),
-            severity,
-            readings: column.count,
-            found: format!(
-                "{} is {} in each of {} readings",
-                quantity.name(),
-                quantity.shown(column.first),
-                column.count
-            ),
-            allowed: "readings of a working monitor differ".to_owned(),
-            remedy: Remedy::Sensor,
+        (column.count >= least).then(|| {
+            let (value, count) = (quantity.shown(value), column.count);
+            let what = format!("{name} is {value} in each of {count} readings");
+            let allowed = "readings of a working monitor differ";
+            let of = (Kind::Constant, severity);
+            Finding::new(of, quantity, count, Remedy::Sensor, what, allowed)
         })
     }
 }
 
 fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
-    let is_measured = matches!(quantity, Quantity::Power | Quantity::Voltage | Quantity::Current);
-    let finding = |readings, found| Finding {
-        kind: Kind::Saturation,
-        quantity: Some(quantity),
-        severity: Severity::Warning,
-        readings,
-        found,
-        allowed: "readings stay below the end of the monitor's range".to_owned(),
-        remedy: Remedy::Sensor,
-    };
-    if !is_measured {
+    if !matches!(quantity, Power | Voltage | Current) {
         return None;
     }
-    if let Some((readings, value, is_full)) = saturated(column) {
-        let (name, value) = (quantity.name(), quantity.shown(value));
+    let name = quantity.name();
+    let (severity, readings, what) = if let Some((readings, value, is_full)) = saturated(column) {
+        let value = quantity.shown(value);
         let what = match is_full {
             true => {
                 format!("{name} is {value}, a full register of 16 bits, in {readings} readings")
@@ -648,41 +548,37 @@ fn saturation(quantity: Quantity, column: &Column) -> Option<Finding> {
                 format!("{name} ends at exactly {value}, and stays there in {readings} readings")
             }
         };
-        return Some(finding(readings, what));
-    }
-    let (dips, size) = wraps(column)?;
-    let (name, size) = (quantity.name(), quantity.shown(size));
-    let what =
-        format!("{name} wraps: it steps {dips} times or more by {size}, a register of its monitor");
-    // Readings beyond it are wrong by the whole register.
-    Some(Finding { severity: Severity::Error, ..finding(dips, what) })
+        (Severity::Warning, readings, what)
+    } else {
+        let (dips, size) = wraps(column)?;
+        let size = quantity.shown(size);
+        let what = format!(
+            "{name} wraps: it steps {dips} times or more by {size}, a register of its monitor"
+        );
+        // Readings beyond it are wrong by the whole register.
+        (Severity::Error, dips, what)
+    };
+    let allowed = "readings stay below the end of the monitor's range";
+    let of = (Kind::Saturation, severity);
+    Some(Finding::new(of, quantity, readings, Remedy::Sensor, what, allowed))
 }
+
+const MISSING: &str = "a missing reading is empty or NaN";
 
 /// Numbers that mean that there is no reading.
 fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
-    let finding = |severity, readings, found, (written, value)| Finding {
-        kind: Kind::Sentinel,
-        quantity: Some(quantity),
-        severity,
-        readings,
-        found,
-        allowed: "a missing reading is empty or NaN".to_owned(),
-        remedy: Remedy::Missing { written, value },
-    };
     if matches!(quantity, Quantity::V | Quantity::Omega) {
         return None;
     }
     let (name, of) = (quantity.name(), column.count);
-    if let Some(found) = sentinel(column) {
-        let value = quantity.shown(found.value);
-        let count = found.count;
+    let is_dropped = |single| if single { Severity::Error } else { Severity::Warning };
+    let (severity, count, what, (written, value)) = if let Some(found) = sentinel(column) {
+        let (value, count) = (quantity.shown(found.value), found.count);
         let what =
             format!("{name} is exactly {value} in {count} of {of} readings, far from all others");
-        let numbers = (found.written, found.value);
-        return Some(finding(Severity::Error, count, what, numbers));
-    }
-    if let Some((count, single)) =
-        silent(column).filter(|_| quantity != Quantity::Voltage && quantity != Quantity::Soc)
+        (Severity::Error, count, what, (found.written, found.value))
+    } else if let Some((count, single)) =
+        silent(column).filter(|_| matches!(quantity, Power | Current))
     {
         let what = match single {
             true => {
@@ -695,10 +591,13 @@ fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
             ),
         };
         let what = format!("{name} is exactly 0 in {count} of {of} readings {what}");
-        return Some(finding(Severity::Warning, count, what, (0.0, 0.0)));
-    }
-    let (count, single) = dropped(column).filter(|_| quantity == Quantity::Voltage)?;
-    let severity = if single { Severity::Error } else { Severity::Warning };
-    let what = format!("{name} is exactly 0 V in {count} of {of} readings: no battery has that");
-    Some(finding(severity, count, what, (0.0, 0.0)))
+        (Severity::Warning, count, what, (0.0, 0.0))
+    } else {
+        let (count, single) = dropped(column).filter(|_| quantity == Voltage)?;
+        let what =
+            format!("{name} is exactly 0 V in {count} of {of} readings: no battery has that");
+        (is_dropped(single), count, what, (0.0, 0.0))
+    };
+    let remedy = Remedy::Missing { written, value };
+    Some(Finding::new((Kind::Sentinel, severity), quantity, count, remedy, what, MISSING))
 }

@@ -2,8 +2,10 @@
 #![forbid(unsafe_code)]
 
 mod battery;
+mod card;
 mod clock;
 mod column;
+mod edit;
 mod finding;
 mod front;
 mod hold;
@@ -22,8 +24,10 @@ mod unit;
 pub use battery::{
     ChargerWatch, CurrentMonitor, SupplyStatus, charging_of_text, is_charge, on_charger,
 };
+pub use card::Card;
 pub use clock::{StampState, Stamps};
-pub use finding::{Edit, Finding, Kind, Severity, Source};
+pub use edit::{Edit, Rows};
+pub use finding::{Finding, Kind, Severity, Source};
 pub use front::{Field, Mapped, PowerOf, SOC, Said, Unusable};
 pub use hold::{COMMAND_HOLDS_S, Expired};
 pub use judge::{Judge, Known, TimeUnit};

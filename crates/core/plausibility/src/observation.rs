@@ -45,7 +45,9 @@ impl Observation {
         }
     }
 
-    pub(crate) const fn value(&self, quantity: Quantity) -> f64 {
+    /// The value of a quantity.
+    #[must_use]
+    pub const fn value(&self, quantity: Quantity) -> f64 {
         match quantity {
             Quantity::Power => self.power_w,
             Quantity::Voltage => self.voltage_v,
@@ -56,7 +58,8 @@ impl Observation {
         }
     }
 
-    pub(crate) const fn value_mut(&mut self, quantity: Quantity) -> &mut f64 {
+    /// The same, to change it.
+    pub const fn value_mut(&mut self, quantity: Quantity) -> &mut f64 {
         match quantity {
             Quantity::Power => &mut self.power_w,
             Quantity::Voltage => &mut self.voltage_v,

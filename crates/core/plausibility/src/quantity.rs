@@ -23,6 +23,16 @@ pub enum Quantity {
     Omega,
 }
 
+/// Names, units, and their thousandths where tables have them, in the order of [`Quantity`].
+const NAMES: [(&str, &str, &str); 6] = [
+    ("power", "W", "mW"),
+    ("voltage", "V", "mV"),
+    ("current", "A", "mA"),
+    ("soc", "", ""),
+    ("v", "m/s", "m/s"),
+    ("omega", "rad/s", "rad/s"),
+];
+
 impl Quantity {
     /// All of them, in the order of their numbers.
     pub const ALL: [Self; 6] =
@@ -31,36 +41,17 @@ impl Quantity {
     /// The name in messages and in a mapping.
     #[must_use]
     pub const fn name(self) -> &'static str {
-        match self {
-            Self::Power => "power",
-            Self::Voltage => "voltage",
-            Self::Current => "current",
-            Self::Soc => "soc",
-            Self::V => "v",
-            Self::Omega => "omega",
-        }
+        NAMES[self as usize].0
     }
 
     /// The unit of its values here.
     pub(crate) const fn unit(self) -> &'static str {
-        match self {
-            Self::Power => "W",
-            Self::Voltage => "V",
-            Self::Current => "A",
-            Self::Soc => "",
-            Self::V => "m/s",
-            Self::Omega => "rad/s",
-        }
+        NAMES[self as usize].1
     }
 
     /// A thousandth of that unit, where tables have it.
     pub(crate) const fn milli(self) -> &'static str {
-        match self {
-            Self::Power => "mW",
-            Self::Voltage => "mV",
-            Self::Current => "mA",
-            _ => self.unit(),
-        }
+        NAMES[self as usize].2
     }
 
     /// A value with its unit.

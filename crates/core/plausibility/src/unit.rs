@@ -72,19 +72,12 @@ impl Magnitudes<'_> {
     fn finding(
         &self,
         quantity: Quantity,
+        remedy: Remedy,
         found: String,
-        allowed: String,
-        unit: &'static str,
+        allowed: impl Into<String>,
     ) -> Finding {
-        Finding {
-            kind: Kind::Unit,
-            quantity: Some(quantity),
-            severity: Severity::Error,
-            readings: self.columns[quantity as usize].count,
-            found,
-            allowed,
-            remedy: Remedy::State(unit),
-        }
+        let (of, readings) = ((Kind::Unit, Severity::Error), self.columns[quantity as usize].count);
+        Finding::new(of, quantity, readings, remedy, found, allowed)
     }
 
     pub(crate) fn judge(&self) -> Vec<Finding> {
@@ -152,7 +145,7 @@ impl Magnitudes<'_> {
             };
             let (quantity_name, read) = (quantity.name(), read.join(", "));
             let what = format!("{quantity_name} has no unit. It is usually {read}: {which}");
-            let allowed = "a column has its unit in its name, or a mapping states it".to_owned();
+            let allowed = "a column has its unit in its name, or a mapping states it";
             let of = Remedy::Scale {
                 read: quantity.milli(),
                 thousands: [
@@ -160,7 +153,7 @@ impl Magnitudes<'_> {
                     units.get(1).copied().unwrap_or(0),
                 ],
             };
-            found.push(Finding { remedy: of, ..self.finding(quantity, what, allowed, "") });
+            found.push(self.finding(quantity, of, what, allowed));
         }
         found
     }
@@ -310,7 +303,7 @@ impl Magnitudes<'_> {
         &self,
         quantity: Quantity,
         what: String,
-        allowed: String,
+        allowed: impl Into<String>,
         units: &[i8],
         is_small: bool,
     ) -> Finding {
@@ -319,7 +312,7 @@ impl Magnitudes<'_> {
             read: if is_small { quantity.milli() } else { quantity.unit() },
             thousands: [first, units.get(1).copied().unwrap_or(0)],
         };
-        Finding { remedy, ..self.finding(quantity, what, allowed, "") }
+        self.finding(quantity, remedy, what, allowed)
     }
 
     /// Power that differs from voltage times current by thousands.
@@ -353,7 +346,7 @@ impl Magnitudes<'_> {
             self.read(quantity, &[0])
         );
         let allowed = "power is voltage times current where all three have the right unit";
-        Some(self.scaled(quantity, what, allowed.to_owned(), &[change], change > 0))
+        Some(self.scaled(quantity, what, allowed, &[change], change > 0))
     }
 
     /// Power and current without a voltage imply one.
@@ -399,11 +392,8 @@ impl Magnitudes<'_> {
                 let what = format!(
                     "{name} is about {small} in {few} readings and {large} in {many}: its unit changes"
                 );
-                let allowed = "a recording has one unit for all readings".to_owned();
-                found.push(Finding {
-                    remedy: Remedy::Split,
-                    ..self.finding(quantity, what, allowed, "")
-                });
+                let allowed = "a recording has one unit for all readings";
+                found.push(self.finding(quantity, Remedy::Split, what, allowed));
             }
         }
         found
@@ -426,7 +416,7 @@ impl Magnitudes<'_> {
             quantity.shown(column.greatest)
         );
         let allowed = format!("a {name} rises and falls with what the robot does");
-        Some(Finding { remedy: Remedy::Counter, ..self.finding(quantity, what, allowed, "") })
+        Some(self.finding(quantity, Remedy::Counter, what, allowed))
     }
 
     /// Speeds that no robot has: in the largest unit that makes them usual, and in smaller ones.
@@ -451,8 +441,8 @@ impl Magnitudes<'_> {
             _ => "",
         };
         let allowed = format!("usual is up to {}{volts}", quantity.shown(most));
-        let unit = fitting.map(|(unit, _)| *unit).next();
-        Some(self.finding(quantity, what, allowed, unit.unwrap_or(units[0].0)))
+        let unit = fitting.map(|(unit, _)| *unit).next().unwrap_or(units[0].0);
+        Some(self.finding(quantity, Remedy::State(unit), what, allowed))
     }
 
     /// One unit of the charge for all values.
@@ -466,7 +456,7 @@ impl Magnitudes<'_> {
                 number(usual),
                 number(column.greatest)
             );
-            return Some(self.finding(Quantity::Soc, what, allowed.to_owned(), "percent"));
+            return Some(self.finding(Quantity::Soc, Remedy::State("percent"), what, allowed));
         }
         // A percentage of a share: no battery drives for long with so little.
         let is_hundredth =
@@ -477,7 +467,7 @@ impl Magnitudes<'_> {
                 number(column.greatest),
                 number(column.greatest * 100.0)
             );
-            self.finding(Quantity::Soc, what, allowed.to_owned(), "share")
+            self.finding(Quantity::Soc, Remedy::State("share"), what, allowed)
         })
     }
 }

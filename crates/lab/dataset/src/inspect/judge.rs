@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_plausibility::{Edit, Finding, Judge, Kind, Known, Source, TimeUnit};
+use joulebus_plausibility::{Edit, Finding, Judge, Kind, Known, Observation, Rows, Source};
 use serde::Serialize;
 
 use super::finding::Occurrence;
@@ -29,14 +29,33 @@ pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
 
 /// Same as [`judge`], with the remedies of another source.
 pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
-    let mut judge = Judge::new(known(trial, limits));
-    take(&mut judge, trial);
+    let known = known(trial, limits);
+    let mut judge = Judge::new(known);
+    trial.observations().for_each(|seen| judge.take(&seen));
     let appended = trial.appended().map(|begun| Finding::appended(begun.row, begun.back_s));
     let all = judge.findings();
+    let source = match source {
+        Source::Recording if trial.is_turned() => Source::TurnedRecording,
+        Source::Recording if trial.is_array() => Source::Array,
+        Source::Bag if trial.is_turned() => Source::TurnedBag,
+        source => source,
+    };
+    let rows = Rows::new(trial.observations(), known, is_product(source, trial));
     let found = all.iter().cloned().chain(appended).chain(unread(trial));
     found
-        .map(|finding| implausible(source, trial, finding, &Trials { trial, limits, all: &all }))
+        .map(|finding| {
+            let edits = rows.working(&finding, &all, |of| name_in(source, trial, of));
+            implausible(source, trial, finding, &edits)
+        })
         .collect()
+}
+
+/// True if its power is made of voltage and current.
+fn is_product(source: Source, trial: &Trial) -> bool {
+    let mut sources = trial.sources().iter();
+    let is_of_table = !trial.sources().is_empty();
+    matches!(source, Source::Bag | Source::TurnedBag)
+        || (is_of_table && !sources.any(|source| source.column == Column::Power))
 }
 
 /// A column that looks like a command, where the file has no other one.
@@ -50,74 +69,10 @@ fn unread(trial: &Trial) -> Option<Finding> {
     Some(Finding::unread(name, &option, trial.rows() as u64))
 }
 
-/// What remedies are tried on.
-struct Trials<'a> {
-    trial: &'a Trial,
-    limits: &'a Limits,
-    /// All findings without them.
-    all: &'a [Finding],
-}
-
-/// Edits of other findings that are tried together with one.
-const MAX_TOGETHER: usize = 8;
-
-impl Trials<'_> {
-    /// The edits of a finding that leave it no more, and no other error that was not there: by
-    /// themselves, or with those of the other findings.
-    fn working(&self, finding: &Finding) -> Vec<Edit> {
-        let edits = |of: &Finding| of.edits(name(self.trial, of).as_deref());
-        let others = self.all.iter().filter(|other| !is_same(other, finding));
-        let mut together: Vec<Vec<Edit>> = vec![Vec::new()];
-        for candidates in others.map(edits).filter(|edits| !edits.is_empty()) {
-            let with = together.iter().flat_map(|before| {
-                candidates
-                    .iter()
-                    .map(|edit| [before.as_slice(), std::slice::from_ref(edit)].concat())
-            });
-            let with: Vec<Vec<Edit>> = with.collect();
-            together.extend(with);
-            together.truncate(MAX_TOGETHER);
-        }
-        let works = |edit: &Edit| {
-            together.iter().any(|others| {
-                let edits = [std::slice::from_ref(edit), others.as_slice()].concat();
-                let left = self.judged(&edits);
-                let is_new = |left: &Finding| {
-                    left.is_error() && !self.all.iter().any(|before| is_same(before, left))
-                };
-                !left.iter().any(|left| is_same(left, finding) || is_new(left))
-            })
-        };
-        edits(finding).into_iter().filter(works).collect()
-    }
-
-    /// Findings with edits.
-    fn judged(&self, edits: &[Edit]) -> Vec<Finding> {
-        let trial = self.trial;
-        let mut known = known(trial, self.limits);
-        for edit in edits {
-            match edit {
-                Edit::Unit { quantity, .. } => known = known.stated(*quantity),
-                Edit::Time { .. } => known = known.timed(TimeUnit::Named),
-                Edit::Turn => known = known.turned(!trial.is_turned()),
-                _ => {}
-            }
-        }
-        let has_power = trial.sources().iter().any(|source| source.column == Column::Power);
-        let is_product = !trial.sources().is_empty() && !has_power;
-        let products = trial.observations().map(|seen| seen.power_w * seen.current_a);
-        let turns_power = products.filter(|product| !product.is_nan()).sum::<f64>() >= 0.0;
-        let mut judge = Judge::new(known);
-        for mut seen in trial.observations() {
-            edits.iter().for_each(|edit| edit.apply(&mut seen, turns_power, is_product));
-            judge.take(&seen);
-        }
-        judge.findings()
-    }
-}
-
-fn is_same(one: &Finding, other: &Finding) -> bool {
-    (one.kind, one.quantity) == (other.kind, other.quantity)
+/// The name of a finding's quantity in its source, whose end may state the unit. Messages of a bag
+/// have SI units.
+fn name_in(source: Source, trial: &Trial, finding: &Finding) -> Option<String> {
+    name(trial, finding).filter(|_| !matches!(source, Source::Bag | Source::TurnedBag))
 }
 
 /// The name of the column of a finding's quantity.
@@ -141,52 +96,53 @@ pub fn is_short(trial: &Trial) -> bool {
 /// sign, unit, missing readings, and power beside voltage and current. The first of them names it.
 pub fn judge_together<'a>(trials: impl IntoIterator<Item = &'a Trial>) -> Vec<Implausible> {
     const TOGETHER: [Kind; 4] = [Kind::Sign, Kind::Unit, Kind::Sentinel, Kind::Mismatch];
-    let mut groups = BTreeMap::<_, (Judge, &Trial, usize)>::new();
+    let mut groups = BTreeMap::<_, Vec<&Trial>>::new();
     for trial in trials.into_iter().filter(|trial| is_short(trial)) {
         let names: Vec<&str> = trial.sources().iter().map(|one| one.name.as_str()).collect();
-        let new = || (Judge::new(known(trial, &Limits::default())), trial, 0);
-        let (judge, _, count) = groups.entry((trial.path().parent(), names)).or_insert_with(new);
-        judge.begin();
-        take(judge, trial);
-        *count += 1;
+        groups.entry((trial.path().parent(), names)).or_default().push(trial);
     }
-    let several = groups.into_values().filter(|(_, _, count)| *count > 1);
-    let found = several.flat_map(|(judge, first, count)| {
-        let found = judge.findings().into_iter();
-        let found = found.filter(|finding| TOGETHER.contains(&finding.kind));
-        found.map(move |mut finding| {
-            finding.found = format!("{count} short recordings as one: {}", finding.found);
-            let trials = Trials { trial: first, limits: &Limits::default(), all: &[] };
-            implausible(Source::Recording, first, finding, &trials)
-        })
+    let several = groups.into_values().filter(|trials| trials.len() > 1);
+    several.flat_map(|trials| of_group(&trials, &TOGETHER)).collect()
+}
+
+fn of_group(trials: &[&Trial], kinds: &[Kind]) -> Vec<Implausible> {
+    let first = trials[0];
+    let known = known(first, &Limits::default());
+    let mut judge = Judge::new(known);
+    for trial in trials {
+        judge.begin();
+        trial.observations().for_each(|seen| judge.take(&seen));
+    }
+    let rows = trials.iter().scan(0.0, |next_s, trial| {
+        let begun_s = *next_s;
+        let times_s = trial.timestamp_s();
+        *next_s += times_s[times_s.len() - 1] - times_s[0] + 1.0;
+        let later = move |seen: Observation| Observation { time_s: seen.time_s + begun_s, ..seen };
+        Some(trial.observations().map(later))
     });
-    found.collect()
+    let source = Source::Recording;
+    let rows = Rows::new(rows.flatten(), known, is_product(source, first));
+    let (count, all) = (trials.len(), judge.findings());
+    let found = all.iter().filter(|finding| kinds.contains(&finding.kind)).cloned();
+    found
+        .map(|mut finding| {
+            let edits = rows.working(&finding, &all, |of| name_in(source, first, of));
+            finding.found = format!("{count} short recordings as one: {}", finding.found);
+            implausible(source, first, finding, &edits)
+        })
+        .collect()
 }
 
-/// Gives a judge the rows of a trial.
-fn take(judge: &mut Judge, trial: &Trial) {
-    trial.observations().for_each(|seen| judge.take(&seen));
-}
-
-fn implausible(from: Source, trial: &Trial, finding: Finding, trials: &Trials<'_>) -> Implausible {
+fn implausible(source: Source, trial: &Trial, finding: Finding, edits: &[Edit]) -> Implausible {
     let name = name(trial, &finding);
-    let from = match from {
-        Source::Recording if trial.is_turned() => Source::TurnedRecording,
-        Source::Recording if trial.is_array() => Source::Array,
-        from => from,
-    };
     let named = match finding.kind {
         Kind::Sources => trial.apart(),
         _ => name.as_deref().or_else(|| trial.time_name()),
     };
-    let remedy = finding.remedy_by(from, named, &trials.working(&finding));
+    let remedy = finding.remedy_by(source, named, edits);
     let robot = trial.robot_name().map(|robot| format!("robot {robot}: ")).unwrap_or_default();
-    let place = Occurrence {
-        file: trial.path().to_owned(),
-        row: None,
-        column: name,
-        what: format!("{robot}{}", finding.sentences(&remedy)),
-    };
+    let what = format!("{robot}{}", finding.sentences(&remedy));
+    let place = Occurrence { file: trial.path().to_owned(), row: None, column: name, what };
     Implausible { finding, remedy, place }
 }
 

@@ -11,6 +11,7 @@ use serde::Serialize;
 
 use crate::judgement::{AcceptArguments, limits};
 use crate::recordings::Recordings;
+use joulebus_plausibility::Card;
 use joulebus_program::platform::platform;
 
 /// Find faults in recorded trials, with file and row
@@ -21,14 +22,13 @@ use joulebus_program::platform::platform;
     joulebus data check logs/ --map time=stamp_ms,power_W=load\n  \
     joulebus data check recordings/ --format json\n\n\
     Faults: files that are not recordings, duplicates, times that repeat or go back, gaps, missing \
-    readings and values, values out of range, power that differs from voltage times current, \
-    columns that seem to be in another unit or to have the other sign, clocks that stand still or go back, commands \
-    that never end, monitors at the end of their range, readings that never change or never came, readings held too \
-    long, truncated files. --accept makes one of them a note. Held readings, \
-    and columns that are missing, unknown or constant are reported, but are not faults.\n\
+    readings and values, readings held too long, truncated files, and the findings below. --accept \
+    makes one of them a note. Held readings, and columns that are missing, unknown or constant are \
+    reported, but are not faults.\n\
     Exit codes: 0 without faults, 3 with faults.\n\n\
+    Findings, each with what to check. The option that mends a recording is in the fault:\n{}\n\
     Names of columns in a CSV, upper or lower case. --map names others. Time and power are required, or \
-    voltage and current instead of power:\n{}", joulebus_dataset::trial::column_names()))]
+    voltage and current instead of power:\n{}", cards(), joulebus_dataset::trial::column_names()))]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
@@ -102,6 +102,12 @@ impl fmt::Display for CheckReport {
             }
         )
     }
+}
+
+/// The cards of findings, a line each.
+fn cards() -> String {
+    let line = |card: &Card| format!("  {:10} {}: {}\n", card.name, card.means, card.check);
+    Card::all().iter().map(line).collect()
 }
 
 fn write_finding(out: &mut fmt::Formatter<'_>, word: &str, finding: &Finding) -> fmt::Result {

@@ -5,7 +5,8 @@ use std::path::{Path, PathBuf};
 
 use joulebus_dataset::inspect::{Limits, check_files, judge, judge_together};
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Trial};
-use joulebus_plausibility::{Kind, Severity};
+use joulebus_plausibility::{Card, Kind, Severity};
+use joulebus_testkit::assert_page_contains;
 use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
 
@@ -371,4 +372,21 @@ fn rows_of_a_bag_on_the_charger_are_no_faults_and_others_count_once() {
         let flags = flags.filter(|one| one.has(joulebus_wire::sample_flag::CHARGING));
         assert_eq!(flags.count(), on_charger.len(), "{name}");
     }
+}
+
+/// Each finding has a card, and the page has all of them. `JOULEBUS_WRITE=1` writes it.
+#[test]
+fn the_page_of_findings_has_the_cards() {
+    let mut text = "\n| kind | what it means | what to check |\n|---|---|---|\n".to_owned();
+    for card in Card::all() {
+        text += &format!("| `{}` | {} | {} |\n", card.name, card.means, card.check);
+    }
+    text += "\n| kind | level | what was found |\n|---|---|---|\n";
+    for card in Card::all() {
+        for (severity, what) in card.cases {
+            text += &format!("| `{}` | {} | {what} |\n", card.name, severity.name());
+        }
+    }
+    text.push('\n');
+    assert_page_contains("docs/reference/plausibility.md", "<!-- findings", &text);
 }
