@@ -236,28 +236,22 @@ impl Track {
     }
 
     pub(super) fn take(&mut self, topic: &str, kind: RosType, header: &MessageHeader, data: &[u8]) {
-        let is_battery = topic == self.robot.battery;
-        let is_command = self.robot.command.as_deref() == Some(topic);
-        let is_odometry = self.robot.odometry.as_deref() == Some(topic);
+        let RobotMapping { battery, command, odometry, .. } = &self.robot;
+        let named = [Some(battery), command.as_ref(), odometry.as_ref()];
+        let named = named.map(|name| name.is_some_and(|name| name == topic));
         // Channels of several kinds may share a topic: the kind decides, if it fits.
-        let (as_battery, as_command, as_odometry) = match kind {
-            RosType::BatteryState => (is_battery, false, false),
-            RosType::Twist | RosType::TwistStamped => (false, is_command, false),
-            RosType::Odometry => (false, false, is_odometry),
+        let of_kind = match kind {
+            RosType::BatteryState => 0,
+            RosType::Twist | RosType::TwistStamped => 1,
+            RosType::Odometry => 2,
         };
-        if !(as_battery || as_command || as_odometry) {
-            let why = format!("of a channel of {kind:?} messages");
-            if is_battery {
-                self.battery.messages += 1;
-                self.battery.refuse(why);
-            } else if is_command {
-                self.command.messages += 1;
-                self.command.refuse(why);
-            } else if is_odometry {
-                self.odometry.messages += 1;
-                self.odometry.refuse(why);
-            }
+        let first = named.iter().position(|is_named| *is_named);
+        let Some(lane) = Some(of_kind).filter(|of| named[*of]).or(first) else {
             return;
+        };
+        *self.lane(lane).0 += 1;
+        if lane != of_kind {
+            return self.refuse(lane, format!("of a channel of {kind:?} messages"));
         }
         let run = self.run_of(header.log_time);
         let times = |stamped: Option<&Header>| Times {
@@ -266,14 +260,6 @@ impl Track {
             publish_ns: header.publish_time,
             run,
         };
-        let messages = if as_battery {
-            &mut self.battery.messages
-        } else if as_command {
-            &mut self.command.messages
-        } else {
-            &mut self.odometry.messages
-        };
-        *messages += 1;
         match kind.decode(data) {
             Ok(Message::BatteryState(state)) => self.reading(times(Some(&state.header)), &state),
             Ok(Message::Twist(twist)) => self.twist(times(None), &twist),
@@ -283,10 +269,21 @@ impl Track {
             Ok(Message::Odometry(odometry)) => {
                 self.motion(times(Some(&odometry.header)), &odometry);
             }
-            Err(error) if as_battery => self.battery.refuse(error.to_string()),
-            Err(error) if as_command => self.command.refuse(error.to_string()),
-            Err(error) => self.odometry.refuse(error.to_string()),
+            Err(error) => self.refuse(lane, error.to_string()),
         }
+    }
+
+    /// Messages and refusals of battery, command and odometry.
+    fn lane(&mut self, lane: usize) -> (&mut u64, &mut BTreeMap<String, u64>) {
+        match lane {
+            0 => (&mut self.battery.messages, &mut self.battery.refused),
+            1 => (&mut self.command.messages, &mut self.command.refused),
+            _ => (&mut self.odometry.messages, &mut self.odometry.refused),
+        }
+    }
+
+    fn refuse(&mut self, lane: usize, why: String) {
+        *self.lane(lane).1.entry(why).or_default() += 1;
     }
 
     fn reading(&mut self, times: Times, state: &BatteryState) {
@@ -500,66 +497,55 @@ impl Track {
     fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         let all = self.battery.items.len() as u64;
-        if self.without_stamp > 0 {
-            notes.push(format!(
-                "{} of {all} readings have no stamp in their header",
-                self.without_stamp
-            ));
+        let mut note = |count: u64, what: &str| {
+            if count > 0 {
+                notes.push(format!("{count} of {all} readings {what}"));
+            }
+        };
+        note(self.without_stamp, "have no stamp in their header");
+        note(
+            self.not_present,
+            "report that there is no battery (`present` is false), and have its voltage",
+        );
+        note(self.unknown_soc, "have a percentage of NaN or −1: their charge is unknown");
+        match self.has_percentages() {
+            true => note(
+                self.percent_soc,
+                "have a percentage above 1: it is read as 0 to 100 in all of them",
+            ),
+            false => note(self.odd_soc, "have a percentage outside 0 to 1: it is left out"),
         }
-        if self.not_present > 0 {
-            notes.push(format!(
-                "{} of {all} readings report that there is no battery (`present` is false), and have \
-                 its voltage",
-                self.not_present
-            ));
+        let count = |is: &dyn Fn(&Reading) -> bool| {
+            self.battery.items.iter().filter(|(_, reading)| is(reading)).count() as u64
+        };
+        note(
+            count(&|reading| reading.charging == Some(true)),
+            "are on the charger (`power_supply_status`): their power is no consumption, and unknown",
+        );
+        if !self.monitor.measures_one_ampere() {
+            note(
+                count(&|reading| reading.is_reserved),
+                "have a current of exactly −1, which drivers write where they measure none: their \
+                 current and power are unknown",
+            );
+        }
+        let remedy = match self.robot.current {
+            CurrentSign::DischargeNegative => "discharge-positive",
+            CurrentSign::DischargePositive => "discharge-negative",
+        };
+        if self.charging * 10 > all * 9 {
+            note(
+                self.charging,
+                &format!("have current flowing into the battery: check whether it is {remedy}"),
+            );
         }
         if self.frames.len() > 1 {
+            let frames: Vec<String> =
+                self.frames.iter().map(|frame| format!("{frame:?}")).collect();
             notes.push(format!(
                 "its messages name several frames ({}): several publishers share the topic, and \
                  their readings are mixed",
-                self.frames.iter().map(|frame| format!("{frame:?}")).collect::<Vec<_>>().join(", ")
-            ));
-        }
-        if self.unknown_soc > 0 {
-            notes.push(format!(
-                "{} of {all} readings have a percentage of NaN or −1: their charge is unknown",
-                self.unknown_soc
-            ));
-        }
-        if self.has_percentages() {
-            notes.push(format!(
-                "{} of {all} readings have a percentage above 1: it is read as 0 to 100 in all of them",
-                self.percent_soc
-            ));
-        } else if self.odd_soc > 0 {
-            notes.push(format!(
-                "{} of {all} readings have a percentage outside 0 to 1: it is left out",
-                self.odd_soc
-            ));
-        }
-        let known = self.battery.items.iter().map(|(_, reading)| reading);
-        let docked = known.clone().filter(|reading| reading.charging == Some(true)).count();
-        if docked > 0 {
-            notes.push(format!(
-                "{docked} of {all} readings are on the charger (`power_supply_status`): their power \
-                 is no consumption, and unknown"
-            ));
-        }
-        let reserved = known.filter(|reading| reading.is_reserved).count();
-        if reserved > 0 && !self.monitor.measures_one_ampere() {
-            notes.push(format!(
-                "{reserved} of {all} readings have a current of exactly −1, which drivers write \
-                 where they measure none: their current and power are unknown"
-            ));
-        }
-        if all > 0 && self.charging * 10 > all * 9 {
-            let remedy = match self.robot.current {
-                CurrentSign::DischargeNegative => "discharge-positive",
-                CurrentSign::DischargePositive => "discharge-negative",
-            };
-            notes.push(format!(
-                "{} of {all} readings have current flowing into the battery: check whether it is {remedy}",
-                self.charging
+                frames.join(", ")
             ));
         }
         notes

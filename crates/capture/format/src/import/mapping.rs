@@ -129,31 +129,17 @@ impl Default for Mapping {
     }
 }
 
-/// Errors of a mapping file.
+/// Error of a mapping file: the text is not a valid mapping in TOML, or a number is out of range.
 #[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum MappingError {
-    /// The text is not a valid mapping in TOML.
-    #[error("{0}")]
-    Toml(String),
-    /// A number out of range.
-    #[error("{key}: found {found}, allowed are {allowed}")]
-    Range {
-        /// The key.
-        key: String,
-        /// The number found.
-        found: f64,
-        /// The allowed numbers.
-        allowed: &'static str,
-    },
-}
+#[error("{0}")]
+pub struct MappingError(String);
 
 impl FromStr for Mapping {
     type Err = MappingError;
 
     fn from_str(text: &str) -> Result<Self, MappingError> {
         let mapping: Self = toml::from_str(text)
-            .map_err(|error| MappingError::Toml(error.to_string().trim_end().to_owned()))?;
+            .map_err(|error| MappingError(error.to_string().trim_end().to_owned()))?;
         mapping.check()?;
         Ok(mapping)
     }
@@ -171,28 +157,29 @@ impl Mapping {
     /// Checks every number.
     ///
     /// # Errors
-    /// [`MappingError::Range`].
+    /// A number out of range.
     pub fn check(&self) -> Result<(), MappingError> {
-        let refuse = |key: String, found: f64, allowed: &'static str| {
-            Err(MappingError::Range { key, found, allowed })
-        };
+        let check =
+            |key: String, found: f64, (least, greatest): (f64, f64), allowed: &str| match (least
+                ..=greatest)
+                .contains(&found)
+            {
+                true => Ok(()),
+                false => Err(MappingError(format!("{key}: found {found}, allowed are {allowed}"))),
+            };
         for (key, found) in [
             ("burst_s", self.burst_s),
             ("odometry_max_age_s", self.odometry_max_age_s),
             ("command_holds_s", self.command_holds_s),
         ] {
-            if !(0.0..=3600.0).contains(&found) {
-                return refuse(key.to_owned(), found, "0 to 3600 s");
-            }
+            check(key.to_owned(), found, (0.0, 3600.0), "0 to 3600 s")?;
         }
         for robot in &self.robots {
             for (key, found) in
                 [("voltage_unit_v", robot.voltage_unit_v), ("current_unit_a", robot.current_unit_a)]
             {
-                if !(1e-9..=1e9).contains(&found) {
-                    let key = format!("robot {:?}: {key}", robot.name);
-                    return refuse(key, found, "1e-9 to 1e9");
-                }
+                let key = format!("robot {:?}: {key}", robot.name);
+                check(key, found, (1e-9, 1e9), "1e-9 to 1e9")?;
             }
         }
         Ok(())
@@ -378,8 +365,11 @@ fn only(found: &[&str], usual: &str, battery: &str) -> Result<Option<String>, Im
             match (named.next(), named.next()) {
                 (Some(one), None) => Ok(Some((*one).to_owned())),
                 _ => {
-                    let what = format!("{battery} could go with any of {}", several.join(", "));
-                    Err(ImportError::Choice { what })
+                    let several = several.join(", ");
+                    Err(ImportError::Robots(format!(
+                        "{battery} could go with any of {several}. Name them with options or a \
+                         mapping file"
+                    )))
                 }
             }
         }
@@ -401,8 +391,7 @@ fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), Import
             }
             Some(Channel { kind: Err(error), .. }) => error.to_string(),
         };
-        let topic = topic.to_owned();
-        Err(ImportError::Topic { topic, why })
+        Err(ImportError::Robots(format!("topic {topic:?}: {why}")))
     };
     check(&robot.battery, &[RosType::BatteryState])?;
     if let Some(command) = &robot.command {

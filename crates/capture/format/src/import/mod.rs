@@ -13,7 +13,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::io::{self, Read, Seek};
 
-use mcap::records::Record;
+use mcap::records::{MessageHeader, Record};
 
 use crate::scan::{self, ScanError};
 use channel::Channel;
@@ -47,7 +47,7 @@ pub fn import_files(
 ) -> Result<Imported, ImportError> {
     let mut channels = Vec::new();
     for (_, input) in inputs.iter_mut() {
-        let (found, _) = self::channels(input)?;
+        let (found, _) = each_message(input, |channel, _, _| channel.messages += 1)?;
         channel::join(&mut channels, found);
     }
     let robots = mapping::choose(name, mapping, &channels)?;
@@ -57,14 +57,28 @@ pub fn import_files(
         let name = pair[0].to_owned();
         let batteries = robots.iter().filter(|robot| robot.name == name);
         let batteries: Vec<&str> = batteries.map(|robot| robot.battery.as_str()).collect();
-        return Err(ImportError::TwoOfAName { batteries: batteries.join(", "), name });
+        return Err(ImportError::Robots(format!(
+            "two robots named {name:?}, with the batteries {}. Choose the one of its power with \
+             --battery, or give them different names in a mapping file",
+            batteries.join(", ")
+        )));
     }
     let mut tracks: Vec<join::Track> =
         robots.into_iter().map(|robot| join::Track::new(robot, mapping)).collect();
     let mut damage = Vec::new();
     let several = inputs.len() > 1;
     for (file, input) in inputs.iter_mut() {
-        let found = read_tracks(input, &mut tracks)?;
+        tracks.iter_mut().for_each(join::Track::begin_file);
+        let (_, found) = each_message(input, |channel, header, data| {
+            let Ok(kind) = &channel.kind else {
+                return;
+            };
+            // One that cannot be unpacked is refused as what it is.
+            let data = unpacked(data).unwrap_or(Cow::Borrowed(data));
+            for track in &mut tracks {
+                track.take(&channel.topic, *kind, header, &data);
+            }
+        })?;
         damage.extend(found.into_iter().map(|what| match several {
             true => format!("{file}: {what}"),
             false => what,
@@ -93,8 +107,11 @@ fn unpacked(data: &[u8]) -> io::Result<Cow<'_, [u8]>> {
     zstd::bulk::decompress(data, allowed).map(Cow::Owned)
 }
 
-/// The channels of a file with their messages, and the damage.
-fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>), ScanError> {
+/// Passes each message of a file with its channel to `take`. Returns the channels, and the damage.
+fn each_message(
+    input: &mut (impl Read + Seek),
+    mut take: impl FnMut(&mut Channel, &MessageHeader, &[u8]),
+) -> Result<(Vec<Channel>, Vec<String>), ScanError> {
     let mut schemas = BTreeMap::new();
     let mut channels: BTreeMap<u16, Channel> = BTreeMap::new();
     let damage = scan::each_record(input, |record| {
@@ -114,9 +131,9 @@ fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>
                 };
                 channels.entry(channel.id).or_insert(found);
             }
-            Record::Message { header, .. } => {
+            Record::Message { header, data } => {
                 if let Some(channel) = channels.get_mut(&header.channel_id) {
-                    channel.messages += 1;
+                    take(channel, &header, &data);
                 }
             }
             _ => {}
@@ -124,40 +141,4 @@ fn channels(input: &mut (impl Read + Seek)) -> Result<(Vec<Channel>, Vec<String>
         Ok(())
     })?;
     Ok((channels.into_values().collect(), damage))
-}
-
-fn read_tracks(
-    input: &mut (impl Read + Seek),
-    tracks: &mut [join::Track],
-) -> Result<Vec<String>, ScanError> {
-    tracks.iter_mut().for_each(join::Track::begin_file);
-    let mut schemas = BTreeMap::new();
-    let mut kinds: BTreeMap<u16, (String, RosType)> = BTreeMap::new();
-    scan::each_record(input, |record| {
-        match record {
-            Record::Schema { header, data } => {
-                schemas.insert(header.id, (header.name, header.encoding, data.into_owned()));
-            }
-            Record::Channel(channel) => {
-                let Some((type_name, encoding, data)) = schemas.get(&channel.schema_id) else {
-                    return Ok(());
-                };
-                if let Ok(kind) = RosType::new(&channel.message_encoding, type_name, encoding, data)
-                {
-                    kinds.insert(channel.id, (channel.topic, kind));
-                }
-            }
-            Record::Message { header, data } => {
-                if let Some((topic, kind)) = kinds.get(&header.channel_id) {
-                    // One that cannot be unpacked is refused as what it is.
-                    let data = unpacked(&data).unwrap_or(Cow::Borrowed(&data));
-                    for track in tracks.iter_mut() {
-                        track.take(topic, *kind, &header, &data);
-                    }
-                }
-            }
-            _ => {}
-        }
-        Ok(())
-    })
 }
