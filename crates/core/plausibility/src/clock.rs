@@ -14,7 +14,6 @@ const KEPT: usize = 32;
 /// Difference of two clocks beyond which they must not be mixed, s.
 const MAX_OFFSET_S: f64 = 0.1;
 
-/// Times of one robot's rows.
 #[derive(Debug, Clone)]
 pub(crate) struct Times {
     pub(crate) rows: u64,
@@ -22,7 +21,6 @@ pub(crate) struct Times {
     pub(crate) steps: Sizes,
     pub(crate) repeated: u64,
     pub(crate) backward: u64,
-    /// Largest step back, s.
     pub(crate) back_s: f64,
     whole: bool,
 }

@@ -25,7 +25,6 @@ impl Largest {
         kept[place] = number;
     }
 
-    /// All of them.
     pub(crate) fn numbers(&self) -> &[f64] {
         &self.0[..self.0.partition_point(|number| *number != 0.0)]
     }
@@ -57,11 +56,9 @@ pub(crate) struct Column {
     pub(crate) steps: Sizes,
     pub(crate) at_greatest: End,
     pub(crate) at_least: End,
-    /// The largest steps.
     pub(crate) largest_steps: Largest,
     /// The largest steps down of those that come back with the next value.
     pub(crate) largest_dips: Largest,
-    /// The step before.
     step: f64,
     pub(crate) moves: Moves,
     pub(crate) spikes: Spikes,
@@ -114,13 +111,10 @@ impl Spikes {
 /// Values equal to an end of the range.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct End {
-    /// Values at the end.
     pub(crate) count: u64,
-    /// Runs of them.
     pub(crate) runs: u64,
     /// Values at the end since the last one that was not.
     run: u64,
-    /// The longest run.
     pub(crate) longest: u64,
 }
 

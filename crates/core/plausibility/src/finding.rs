@@ -5,7 +5,6 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-use crate::card::CARDS;
 use crate::edit::{Edit, UNNAMED};
 use crate::quantity::{Quantity, UNMEASURED_A, number};
 
@@ -31,7 +30,7 @@ pub enum Kind {
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; CARDS.len()] = [
+    pub const ALL: [Self; 11] = [
         Self::Sign,
         Self::Unit,
         Self::Clock,
@@ -47,7 +46,7 @@ impl Kind {
 
     /// The name.
     #[must_use]
-    pub const fn name(self) -> &'static str {
+    pub fn name(self) -> &'static str {
         self.card().name
     }
 }
@@ -109,40 +108,33 @@ pub enum Source {
     Program,
 }
 
-/// The remedy of a finding.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) enum Remedy {
-    /// Turn the sign of power and current.
     Turn,
-    /// State the unit.
     State(&'static str),
     /// State another unit: so many thousands of the one in which it was read, or so many. 0: none.
-    Scale { read: &'static str, thousands: [i8; 2] },
+    Scale {
+        read: &'static str,
+        thousands: [i8; 2],
+    },
     /// Give time in the right unit, by its name in `--map` and its size, s.
     Seconds(&'static str, f64),
     /// State which number stands for no reading: as its file has it, and in SI units.
-    Missing { written: f64, value: f64 },
+    Missing {
+        written: f64,
+        value: f64,
+    },
     /// Measure the current, which always has this value in SI.
     Unmeasured(f64),
-    /// Record or use a better clock.
     Clock,
-    /// Let commands expire.
     Expire,
-    /// Name another column, topic or pointer.
     Name,
-    /// Look at the sensor.
     Sensor,
-    /// Correct the values, or their limits.
     Limits,
-    /// Divide the recording.
     Split,
-    /// Name columns that belong together.
     Agree,
-    /// Record what is counted.
     Counter,
-    /// Tell the sources apart.
     Apart,
-    /// Read a column.
     Read,
 }
 

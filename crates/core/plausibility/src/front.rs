@@ -27,26 +27,17 @@ pub enum PowerOf {
 
 /// A number of a message or a row.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[expect(missing_docs, reason = "their names say it")]
 pub enum Field {
-    /// Commanded linear velocity.
     V,
-    /// Commanded velocity across the direction of driving.
     Vy,
-    /// Commanded angular velocity.
     Omega,
-    /// Measured linear velocity.
     VMeasured,
-    /// Measured velocity across the direction of driving.
     VyMeasured,
-    /// Measured angular velocity.
     OmegaMeasured,
-    /// Electrical power.
     Power,
-    /// Battery voltage.
     Voltage,
-    /// Battery current.
     Current,
-    /// State of charge.
     Soc,
 }
 

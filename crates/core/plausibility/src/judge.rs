@@ -34,7 +34,6 @@ const MOST_RETURN: f64 = 0.8;
 const MIN_CHANGE: f64 = 0.05;
 /// Time between two recordings that are judged together, s.
 const APART_S: f64 = 1.0;
-/// Speed at which a robot drives, m/s.
 const DRIVES_MPS: f64 = 0.1;
 
 /// Properties of a source that are known beforehand.
@@ -135,7 +134,6 @@ pub struct Judge {
     /// Power over current where no voltage is known, V.
     implied: Sizes,
     driving: Sizes,
-    /// Observations of a robot that drives.
     driven: u64,
     sign: Sign,
     hold: Hold,

@@ -54,7 +54,6 @@ impl Quantity {
         NAMES[self as usize].2
     }
 
-    /// A value with its unit.
     pub(crate) fn shown(self, value: f64) -> String {
         let number = number(value);
         match self.unit() {

@@ -44,7 +44,6 @@ const COMMAND_RADPS: f64 = 0.1;
 const RISE_STD: f64 = 2.0;
 const RISE_SHARE: f64 = 1e-3;
 
-/// Positive and negative readings.
 #[derive(Debug, Clone, Copy, Default)]
 struct Signs {
     positive: u64,
@@ -186,9 +185,7 @@ pub(crate) struct Sign {
     resistance: Line,
     /// The same where current is positive, and where it is negative.
     resistances: [Line; 2],
-    /// Number of changes of the sign.
     flips: u64,
-    /// Voltage over time.
     trend: Line,
     began: bool,
     first_s: f64,
