@@ -41,7 +41,7 @@ pub use note::{Gap, TrialNotes};
 pub use resample::{Method, Resample, ResampleError, Resampled};
 pub use stored::Stored;
 pub use table::{Column, LeftOut, SourceColumn, Table};
-pub use write::{Form, Row, WriteError};
+pub use write::{Form, Row};
 
 pub(crate) use capture::try_is_capture;
 pub(crate) use names::command_option;
@@ -127,6 +127,12 @@ impl Trial {
     /// The file's row (from 1, the line of a CSV) of row `row` (from 0).
     pub fn file_row(&self, row: usize) -> usize {
         self.table.file_row(row)
+    }
+
+    /// The number of row `row` (from 0) among the rows of its file, from 1. A CSV's header, and empty
+    /// lines, are none.
+    pub fn data_row(&self, row: usize) -> usize {
+        self.table.data_row(row)
     }
 
     /// Rows. At least two.

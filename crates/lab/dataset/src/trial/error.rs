@@ -7,7 +7,7 @@ use std::{fmt, io};
 const LEAVE_OUT: &str = ". --whole-rows leaves such lines out (`joulebus data convert \
     --whole-rows` for other programs), or leave the file out: move it, or name the others";
 
-/// What is wrong with a file that could not be read as a trial.
+/// What is wrong with a file that could not be read as a trial, or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 #[expect(missing_docs, reason = "the messages of the errors say it")]
@@ -38,9 +38,13 @@ pub enum Fault {
     SecondRobot,
     TooManyRobots,
     NoPeriod,
+    Ending,
+    RobotName,
+    TooFewRows,
+    NoSuchColumns,
 }
 
-/// Reason that a trial could not be read.
+/// Reason that a trial could not be read or written.
 #[derive(Debug)]
 pub struct TrialError {
     path: PathBuf,

@@ -190,38 +190,21 @@ pub struct MappedColumn {
     states_unit: bool,
 }
 
-/// Reason that a mapping is invalid.
+/// Reason that a mapping is invalid: it has no name on one of its sides, or its quantity is unknown.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[non_exhaustive]
-pub enum MapError {
-    /// There is no name on one of the sides.
-    #[error(
-        "{found:?} is no mapping. Examples: power=battery_W, power_mW=p1, and voltage_V:=3.0 for \
-            what every row has"
-    )]
-    Form {
-        /// The found name.
-        found: String,
-    },
-    /// The quantity is unknown.
-    #[error(
-        "{found:?} is no quantity, allowed: {allowed}, each with a unit if it is not in the \
-            column's name. An energy (Wh) or a charge (Ah) is not read: give power, or voltage \
-            and current"
-    )]
-    Quantity {
-        /// The found name.
-        found: String,
-        /// The quantities.
-        allowed: String,
-    },
-}
+#[error("{0}")]
+pub struct MapError(String);
 
 impl FromStr for MappedColumn {
     type Err = MapError;
 
     fn from_str(text: &str) -> Result<Self, MapError> {
-        let form = || MapError::Form { found: text.to_owned() };
+        let form = || {
+            MapError(format!(
+                "{text:?} is no mapping. Examples: power=battery_W, power_mW=p1, and voltage_V:=3.0 \
+                 for what every row has"
+            ))
+        };
         let sides = text.split_once('=').map(|(left, right)| (left.trim(), right.trim()));
         let (quantity, name) =
             sides.filter(|(a, b)| !a.is_empty() && !b.is_empty()).ok_or_else(form)?;
@@ -277,11 +260,13 @@ impl FromStr for MappedColumn {
                 states_unit,
             });
         }
-        Err(MapError::Quantity {
-            found: quantity.to_owned(),
-            allowed: SPELLINGS.iter().map(|one| one.name).collect::<Vec<_>>().join(", ")
-                + ", missing",
-        })
+        let allowed: Vec<&str> = SPELLINGS.iter().map(|one| one.name).collect();
+        Err(MapError(format!(
+            "{quantity:?} is no quantity, allowed: {}, missing, each with a unit if it is not in the \
+             column's name. An energy (Wh) or a charge (Ah) is not read: give power, or voltage and \
+             current",
+            allowed.join(", ")
+        )))
     }
 }
 

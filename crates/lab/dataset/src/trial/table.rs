@@ -11,32 +11,22 @@ use joulebus_wire::sample_flag;
 use super::error::{Fault, TrialError};
 use super::limits::{InMemory, MAX_FILE_ROWS, MAX_ROBOTS};
 
-/// A column of a trial, without robot and time.
+/// A column of a trial, without robot and time. Velocities are commanded if they are not said to be
+/// measured.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[expect(missing_docs, reason = "their names in files have the units")]
 pub enum Column {
-    /// Phase of the experiment, a number.
     Phase,
-    /// Commanded linear velocity, m/s.
     V,
-    /// Commanded angular velocity, rad/s.
     Omega,
-    /// Position, m.
     X,
-    /// Position, m.
     Y,
-    /// Heading, rad.
     Theta,
-    /// Battery voltage, V.
     Voltage,
-    /// Battery current, A.
     Current,
-    /// Electrical power, W.
     Power,
-    /// Measured linear velocity, m/s. Not in the array layout.
     VMeasured,
-    /// Measured angular velocity, rad/s. Not in the array layout.
     OmegaMeasured,
-    /// Measured state of charge, 0 to 1. Not in the array layout.
     Soc,
 }
 
@@ -146,7 +136,6 @@ pub struct Table {
     pub(crate) unnamed_rows: usize,
     /// Rows of the file on the charger, whose power was left out. Of all parts of the file.
     pub(crate) on_charger: Vec<u32>,
-    /// The columns of a CSV that were read.
     pub(crate) sources: Vec<SourceColumn>,
     /// Lines of a CSV that were left out. Of several robots the first has them.
     pub(crate) left_out: LeftOut,
@@ -156,12 +145,13 @@ pub struct Table {
     pub(crate) time_name: Option<String>,
     /// True if that name, or the caller, states its unit.
     pub(crate) states_time_unit: bool,
-    /// True if the sign of its current was turned.
     pub(crate) is_turned: bool,
     /// True if its file has more rows of the robot, which are in other tables.
     pub(crate) is_part: bool,
     /// Rows of the file in which its header comes again.
     pub(crate) headers: Vec<u32>,
+    /// By how much the lines of a CSV are ahead of its rows, from lines on.
+    pub(crate) ahead: Vec<(u32, u32)>,
     /// Position of another recording that was appended to its file, if any.
     pub(crate) appended: Option<Appended>,
     /// A column of few words by which its rows alternate, as those of several sources.
@@ -252,7 +242,6 @@ pub(super) fn is_held(columns: &Columns, row: usize) -> bool {
 #[derive(Clone, Copy)]
 pub(crate) struct Cell<'a> {
     pub(crate) path: &'a Path,
-    /// File row, from 1.
     pub(crate) row: usize,
 }
 
@@ -294,6 +283,14 @@ impl Table {
     /// Row of the file that holds row `row` (from 0), from 1: the line of a CSV.
     pub fn file_row(&self, row: usize) -> usize {
         self.file_row.get(row).map_or(row + 1, |row| *row as usize)
+    }
+
+    /// The number of row `row` (from 0) among the rows of its file.
+    pub(super) fn data_row(&self, row: usize) -> usize {
+        let file_row = self.file_row(row);
+        let at = self.ahead.partition_point(|(line, _)| *line as usize <= file_row);
+        let ahead = at.checked_sub(1).map_or(0, |at| self.ahead[at].1);
+        file_row.saturating_sub(ahead as usize)
     }
 
     /// True if row `row` (from 0) is on the charger.
@@ -624,7 +621,6 @@ pub(super) type Take<'a> = dyn FnMut(Table) -> ControlFlow<()> + 'a;
 pub(super) struct Tables {
     tables: Vec<Table>,
     by_name: HashMap<String, usize>,
-    /// Rows in the tables.
     rows: usize,
 }
 

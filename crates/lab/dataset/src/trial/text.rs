@@ -29,6 +29,7 @@ pub(super) fn read(
     let mut tables = Tables::default();
     while let Some(next) = rows.next() {
         let cell = Cell { path, row: rows.line };
+        kept.note_line(&rows);
         let next = next.and_then(|row| {
             let pushed = rows.layout.push(cell, &row, &mut tables);
             pushed.map_err(|error| BadLine::new(cell.row, error))
@@ -44,7 +45,7 @@ pub(super) fn read(
         if let Some(mut parts) = tables.complete(path, in_memory)? {
             for table in &mut parts {
                 table.ignored_columns.clone_from(&rows.layout.ignored_columns);
-                table.headers.clone_from(&kept.headers);
+                kept.tell(table);
             }
             rows.finish(path, &mut parts, &mut kept)?;
             if parts.into_iter().try_for_each(&mut *take).is_break() {
@@ -60,7 +61,7 @@ pub(super) fn read(
         !rows.reader.get_ref().ends_in_line_break() && kept.left_out.lines == 0;
     let mut tables = tables.finish(path, &rows.layout.ignored_columns, no_final_line_break);
     for table in &mut tables {
-        table.headers.clone_from(&kept.headers);
+        kept.tell(table);
     }
     rows.times.note(&rows.layout.time_name, &mut rows.understood);
     if rows.numbers.decimal_comma == Some(true) {
@@ -72,18 +73,31 @@ pub(super) fn read(
     Ok(())
 }
 
-/// What was left out so far.
 #[derive(Default)]
 struct Kept {
     left_out: LeftOut,
     /// Rows in which the header came again.
     headers: Vec<u32>,
+    /// By how much lines are ahead of rows, from lines on.
+    ahead: Vec<(u32, u32)>,
     /// Lines that are no rows, and the first error.
     broken: usize,
     refused: Option<TrialError>,
 }
 
 impl Kept {
+    fn note_line(&mut self, rows: &Rows<'_>) {
+        let ahead = rows.line.saturating_sub(rows.row) as u32;
+        if self.ahead.last().is_none_or(|(_, last)| *last != ahead) {
+            self.ahead.push((rows.line as u32, ahead));
+        }
+    }
+
+    fn tell(&self, table: &mut super::Table) {
+        table.headers.clone_from(&self.headers);
+        table.ahead.clone_from(&self.ahead);
+    }
+
     /// Leaves a line out. Always false: it is no whole row.
     fn leave_out(&mut self, bad: BadLine) -> bool {
         if bad.is_header {
@@ -98,13 +112,10 @@ impl Kept {
     }
 }
 
-/// A line that is no whole row.
 struct BadLine {
     row: usize,
     error: TrialError,
-    /// It is the header again.
     is_header: bool,
-    /// The text ends in it.
     ends: bool,
 }
 
@@ -312,7 +323,6 @@ fn csv(separator: u8) -> csv::ReaderBuilder {
     builder
 }
 
-/// How a text is written.
 struct Form {
     separator: u8,
     layout: Layout,

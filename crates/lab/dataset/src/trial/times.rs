@@ -189,7 +189,6 @@ impl Times {
         Ok(())
     }
 
-    /// Notes on the whole text.
     pub(super) fn note(&self, name: &str, understood: &mut Vec<String>) {
         understood.extend(self.midnights.note(name));
         let day_first = self.day_first.filter(|_| self.form == Some(TimeForm::Date));

@@ -1,14 +1,15 @@
 //! Trials from rows, and trials as the published table.
 
 use std::io::{self, BufWriter, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
 use joulebus_files::ends_in;
 
+use super::Trial;
+use super::error::{Fault, TrialError};
 use super::table::{CHARGING_NAME, Cell, Column, ROBOT_NAMES, TIME_NAMES, Table};
-use super::{Trial, TrialError};
 use crate::npy;
 use joulebus_predictor::nan::canonical_f64;
 
@@ -134,59 +135,6 @@ impl Form {
     }
 }
 
-/// Errors of writing a table.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum WriteError {
-    /// The operating system's error. An existing file is never overwritten.
-    #[error("{path}: {source}", path = path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The operating system's error.
-        source: io::Error,
-    },
-    /// The extension is of no known format.
-    #[error("{path}: names of recordings end in .npy, .csv or .csv.gz", path = path.display())]
-    Ending {
-        /// The file.
-        path: PathBuf,
-    },
-    /// An array holds numbers only.
-    #[error(
-        "{path}: the robot's name is {found:?}, but an array holds numbers, allowed: a numeric \
-            name \
-         a number and reads back as it is, such as 7",
-        path = path.display()
-    )]
-    RobotName {
-        /// The file.
-        path: PathBuf,
-        /// The name.
-        found: String,
-    },
-    /// The reader of arrays refuses fewer rows.
-    #[error("{path}: {rows} rows. An array needs at least 2, write CSV", path = path.display())]
-    TooFewRows {
-        /// The file.
-        path: PathBuf,
-        /// Rows of the table.
-        rows: usize,
-    },
-    /// The array layout lacks columns for recorded values.
-    #[error(
-        "{path}: the array layout has no columns {found}, which hold values. Drop them by name, or \
-         write CSV",
-        path = path.display()
-    )]
-    NoSuchColumns {
-        /// The file.
-        path: PathBuf,
-        /// Names of the columns.
-        found: String,
-    },
-}
-
 impl Table {
     /// Writes the table in the format given by the file name's extension. The file must not exist
     /// and is written atomically. Reading it gives the same bits, except for the payload of NaNs.
@@ -194,11 +142,13 @@ impl Table {
     /// which.
     ///
     /// # Errors
-    /// [`WriteError`]: what the format cannot represent is refused, never dropped.
-    pub fn write(&self, path: &Path) -> Result<(), WriteError> {
+    /// [`TrialError`]: what the format cannot represent is refused, never dropped, and an existing
+    /// file is not overwritten.
+    pub fn write(&self, path: &Path) -> Result<(), TrialError> {
         let written = match Form::new(path) {
             None => {
-                return Err(WriteError::Ending { path: path.to_owned() });
+                let what = "names of recordings end in .npy, .csv or .csv.gz";
+                return Err(TrialError::new(path, Fault::Ending, what));
             }
             Some(Form::Csv) => create(path, |file| self.write_text(file)),
             Some(Form::CsvGz) => create(path, |file| self.write_zipped(file)),
@@ -207,7 +157,7 @@ impl Table {
                 create(path, |file| self.write_array(file, robot))
             }
         };
-        written.map_err(|source| WriteError::Io { path: path.to_owned(), source })
+        written.map_err(TrialError::io(path))
     }
 
     fn write_text(&self, out: &mut dyn Write) -> io::Result<()> {
@@ -247,9 +197,10 @@ impl Table {
 
     /// Checks that the array layout can represent the table. Returns the robot as the number
     /// stored.
-    fn check_array(&self, path: &Path) -> Result<f64, WriteError> {
+    fn check_array(&self, path: &Path) -> Result<f64, TrialError> {
         if self.rows() < 2 {
-            return Err(WriteError::TooFewRows { path: path.to_owned(), rows: self.rows() });
+            let what = format!("{} rows. An array needs at least 2, write CSV", self.rows());
+            return Err(TrialError::new(path, Fault::TooFewRows, what));
         }
         let robot = match self.robot_name() {
             None => f64::NAN,
@@ -257,9 +208,12 @@ impl Table {
                 let number = name.parse::<f64>().ok();
                 let number = number.filter(|number| number.is_finite());
                 let number = number.filter(|number| number.to_string() == name);
-                number.ok_or_else(|| WriteError::RobotName {
-                    path: path.to_owned(),
-                    found: name.to_owned(),
+                number.ok_or_else(|| {
+                    let what = format!(
+                        "the robot's name is {name:?}, but an array holds numbers, allowed: a \
+                         numeric name that reads back as it is, such as 7"
+                    );
+                    TrialError::new(path, Fault::RobotName, what)
                 })?
             }
         };
@@ -274,7 +228,11 @@ impl Table {
         if outside.is_empty() {
             return Ok(robot);
         }
-        Err(WriteError::NoSuchColumns { path: path.to_owned(), found: outside.join(" ") })
+        let what = format!(
+            "the array layout has no columns {}, which hold values. Drop them by name, or write CSV",
+            outside.join(" ")
+        );
+        Err(TrialError::new(path, Fault::NoSuchColumns, what))
     }
 
     fn write_array(&self, out: &mut dyn Write, robot: f64) -> io::Result<()> {

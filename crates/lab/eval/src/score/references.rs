@@ -113,7 +113,7 @@ impl Foreign {
         let seqs = contents.rows.sample_seq.iter();
         let found: Vec<[f64; 3]> = seqs
             .map(|seq| {
-                let row = contents.trial.file_row(*seq as usize + 1);
+                let row = contents.trial.data_row(*seq as usize + 1);
                 own.and_then(|own| own.get(&row)).copied().unwrap_or([f64::NAN; 3])
             })
             .collect();

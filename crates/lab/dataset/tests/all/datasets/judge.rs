@@ -3,9 +3,9 @@
 
 use std::path::{Path, PathBuf};
 
-use joulebus_dataset::inspect::{Limits, check_files, judge, judge_together};
+use joulebus_dataset::inspect::{Limits, check_files, judge, judge_from, judge_together};
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Trial};
-use joulebus_plausibility::{Card, Kind, Severity};
+use joulebus_plausibility::{Card, Kind, Severity, Source};
 use joulebus_testkit::assert_page_contains;
 use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
@@ -374,6 +374,39 @@ fn rows_of_a_bag_on_the_charger_are_no_faults_and_others_count_once() {
     }
 }
 
+/// The rows of a bag are tried, whose power is voltage times current.
+#[test]
+fn remedies_of_a_bag_are_those_of_its_mapping_that_work() {
+    let files = Files::new();
+    for (volt, ampere, is_turned, words, never) in [
+        (1e3, 1.0, true, &["voltage_unit_v = 0.001 in a mapping file"][..], "current_unit_a"),
+        (1e3, 1e3, true, &["voltage_unit_v = 0.001", "current_unit_a = 0.001"], "--current"),
+        (1.0, -1.0, true, &["--current discharge-positive"], "unit"),
+        (1.0, -1.0, false, &["--current discharge-negative"], "unit"),
+    ] {
+        let rows = (0..300).map(|row| {
+            let load_a = 2.0 + 0.2 * (0.7 * f64::from(row)).sin();
+            let (voltage_v, current_a) = (volt * (24.0 - 0.1 * load_a), ampere * load_a);
+            let values = std::array::from_fn(|at| match at {
+                1 => 0.2,
+                6 => voltage_v,
+                7 => current_a,
+                8 => voltage_v * current_a,
+                _ => f64::NAN,
+            });
+            joulebus_dataset::trial::Row { timestamp_s: 0.1 * f64::from(row), values }
+        });
+        let path = files.write("bag.mcap", b"");
+        let trial = Trial::from_bag(&path, "r", rows, &[], is_turned).unwrap();
+        let found = judge_from(Source::Bag, &trial, &Limits::default());
+        let told: String = found.iter().map(|one| one.remedy.as_str()).collect();
+        for word in words {
+            assert!(told.contains(word), "{volt} {ampere}: {told}");
+        }
+        assert!(!told.contains(never), "{volt} {ampere}: {told}");
+    }
+}
+
 /// Each finding has a card, and the page has all of them. `JOULEBUS_WRITE=1` writes it.
 #[test]
 fn the_page_of_findings_has_the_cards() {
@@ -383,7 +416,7 @@ fn the_page_of_findings_has_the_cards() {
     }
     text += "\n| kind | level | what was found |\n|---|---|---|\n";
     for card in Card::all() {
-        for (severity, what) in card.cases {
+        for (severity, what) in &card.cases {
             text += &format!("| `{}` | {} | {what} |\n", card.name, severity.name());
         }
     }

@@ -213,6 +213,10 @@ fn rows_are_numbered_as_the_lines_of_their_file() {
         let error = read(&files, text, "-").unwrap_err().to_string();
         assert_contains(&error, [&format!("row {row}, column power_W")]);
     }
+    let text = format!("{}3,1,d\n", text.replace("off", "3"));
+    let trial = read(&files, &text, "-").unwrap();
+    let numbers: Vec<_> = (0..4).map(|row| (trial.file_row(row), trial.data_row(row))).collect();
+    assert_eq!(numbers, [(4, 1), (7, 2), (8, 3), (9, 4)]);
     let long = "x".repeat(400);
     let rows =
         (0..300).map(|row| format!("{long},2026-04-07 10:{:02}:{:02},4\n", row / 60, row % 60));
