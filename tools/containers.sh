@@ -44,7 +44,7 @@ if [ -x "$tools/python/bin/podman-compose" ] || { python3 -m venv "$tools/python
         if [ -x "$target/$folder/joulebus" ]; then joulebus=$target/$folder/joulebus; fi
     done
     [ -n "$joulebus" ] || fail "no joulebus was built: cargo build"
-    "$tools/python/bin/python" - "$tools/compose.yaml" "$joulebus" << 'PYTHON' || fail "$compose does not fit the programs"
+    "$tools/python/bin/python" - "$tools/compose.yaml" "$joulebus" "$file" << 'PYTHON' || fail "$compose does not fit the programs"
 import json
 import os
 import pathlib
@@ -61,6 +61,19 @@ import yaml
 compose, joulebus = yaml.safe_load(open(sys.argv[1])), sys.argv[2]
 services, volumes = compose["services"], compose.get("volumes", {})
 checked = 0
+
+
+def check(name, command):
+    """The verb and the options of a container's command exist."""
+    global checked
+    verb = command[:2] if command[0] == "publish" else command[:1]
+    help = subprocess.run([joulebus, *verb, "--help"], capture_output=True, text=True)
+    assert help.returncode == 0, f"{name}: {verb}: {help.stderr}"
+    for option in (word for word in command if word.startswith("--")):
+        assert option in help.stdout, f"{name}: {' '.join(verb)} has no {option}"
+        checked += 1
+
+
 for name, service in services.items():
     for key in ("ipc", "pid"):
         of = service.get(key, "")
@@ -71,14 +84,25 @@ for name, service in services.items():
     command = service.get("command")
     if service["image"] != "joulebus" or not command:
         continue
-    verb = command[:2] if command[0] == "publish" else command[:1]
-    help = subprocess.run([joulebus, *verb, "--help"], capture_output=True, text=True)
-    assert help.returncode == 0, f"{name}: {verb}: {help.stderr}"
-    for option in (word for word in command if word.startswith("--")):
-        assert option in help.stdout, f"{name}: {' '.join(verb)} has no {option}"
-        checked += 1
+    check(name, command)
 assert checked > 5, checked
 print(f"{sys.argv[1]}: {len(services)} services, {checked} options exist")
+
+# The pod: its volumes exist, all containers have /dev/shm, and its commands and probes exist.
+pod = yaml.safe_load(pathlib.Path("configs/container/kubernetes.yaml").read_text())["spec"]
+claims = [claim["metadata"]["name"] for claim in pod["volumeClaimTemplates"]]
+pod = pod["template"]["spec"]
+assert pod["shareProcessNamespace"]
+for container in pod["containers"]:
+    name, places = container["name"], {mount["mountPath"]: mount["name"] for mount in container["volumeMounts"]}
+    assert places["/dev/shm"] == "shm" and set(places.values()) <= {*claims, *(volume["name"] for volume in pod["volumes"])}, name
+    check(name, container["args"])
+    if probe := container.get("readinessProbe"):
+        check(name, probe["exec"]["command"][1:])
+# And the health of the image.
+health = next(line for line in open(sys.argv[3]) if line.strip().startswith("CMD [") and "watch" in line)
+check("HEALTHCHECK", json.loads(health.strip()[4:])[1:])
+print(f"configs/container/kubernetes.yaml: {len(pod['containers'])} containers")
 
 # Grafana: what is mounted exists, and provisioning names what the other services have.
 mounts = dict(volume.split(":")[1::-1] for volume in services["grafana"]["volumes"])
