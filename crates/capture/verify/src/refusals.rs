@@ -10,6 +10,7 @@ use std::hash::{BuildHasher as _, RandomState};
 use bytemuck::bytes_of;
 use joulebus_wire::{
     Acknowledgement, MAX_ACKNOWLEDGED, MAX_ACKNOWLEDGED_BY, QueryKind, QueryRecord, QueryRefusal,
+    query_flag,
 };
 
 use crate::loss::Loss;
@@ -18,6 +19,8 @@ use crate::report::Verification;
 /// Number of questions of one process that wait when a further one is refused as
 /// [`QueryRefusal::Busy`].
 const MAX_OF_A_PROCESS: usize = 4;
+/// Number of statements that wait for the next tick when a further one is refused so.
+const MAX_STATEMENTS: usize = 64;
 /// Maximum time that a worker works on a question, ns.
 const MAX_AGE_NS: u64 = 10_000_000_000;
 /// Minimum time that a question waits for the first frame of the fleet, ns.
@@ -40,6 +43,8 @@ pub(super) struct Refusals {
     starts: BTreeMap<u64, (u64, VecDeque<u64>)>,
     /// The newest frame of acknowledged alarms had no room for another, or for one of its alarms.
     acknowledged_full: bool,
+    /// When the last statements that a tick takes were accepted, monotonic ns.
+    stated: VecDeque<u64>,
     hasher: RandomState,
 }
 
@@ -92,6 +97,12 @@ pub(super) fn is_by_a_person(kind: u32) -> bool {
     matches!(QueryKind::decode(kind), Some(QueryKind::Acknowledge | QueryKind::Battery))
 }
 
+/// True if the next tick takes what it states.
+fn is_of_tick(record: &QueryRecord) -> bool {
+    record.query.kind == QueryKind::Battery.code()
+        || record.query.flags & query_flag::NEW_NORMAL != 0
+}
+
 impl Refusals {
     /// Notes a tick of which the journal was recorded. Those of a run come in order.
     pub(super) fn note_tick(&mut self, run: u64, start_ns: u64) {
@@ -120,6 +131,11 @@ impl Refusals {
         }
         let reason = QueryRefusal::decode(record.answer.refusal);
         let (taken_ns, sent_ns) = (record.answer.taken_ns, record.answer.sent_ns);
+        if is_of_tick(record) && record.answer.refusal == 0 {
+            self.stated.push_back(sent_ns);
+            let surplus = self.stated.len().saturating_sub(MAX_STATEMENTS);
+            self.stated.drain(..surplus);
+        }
         let is_gone = reason == Some(QueryRefusal::ClientGone);
         // Its client goes on asking: it has given up the question, or its answer was altered.
         let gone = (!is_gone).then(|| self.gone.remove(&record.client)).flatten();
@@ -171,6 +187,12 @@ impl Refusals {
         let is_acknowledgement = is_by_a_person(record.query.kind);
         let refusal = Waiting { run, sent_ns: answer.sent_ns };
         let hash = self.hasher.hash_one(bytes_of(record));
+        let is_battery = record.query.kind == QueryKind::Battery.code();
+        // Each tick takes all that wait.
+        let ticks = self.starts.last_key_value().and_then(|(_, (_, last))| last.front());
+        let since_ns = ticks.copied().unwrap_or(0);
+        let all = self.stated.len() >= MAX_STATEMENTS;
+        let statements_wait = all && self.stated.front().is_some_and(|first| *first >= since_ns);
         let server = self.servers.entry(record.begun_ns).or_default();
         if !is_new {
             let is_copy = server.seen.get(&record.number) == Some(&hash);
@@ -202,9 +224,11 @@ impl Refusals {
             {
                 server.last = Some(refusal);
             }
-            // No more alarms are kept.
+            // No more alarms are kept, or no more statements wait for the tick.
             Some(Reason::Busy)
-                if is_acknowledgement && answer.tick == 0 && self.acknowledged_full =>
+                if answer.tick == 0
+                    && (is_acknowledgement && !is_battery && self.acknowledged_full
+                        || is_of_tick(record) && statements_wait) =>
             {
                 refusal.settle(Loss::ByTime, report);
             }
