@@ -13,7 +13,7 @@ mod simulation;
 mod training;
 
 pub(crate) use analysis::analyze;
-pub(crate) use evaluation::evaluate;
+pub(crate) use evaluation::{evaluate, trips};
 pub(crate) use report::{Report, report_recorded, report_simulated};
 pub(crate) use simulation::simulate;
 pub(crate) use training::{train_recordings, train_simulated};

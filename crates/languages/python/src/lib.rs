@@ -44,7 +44,7 @@ mod _native {
     #[pymodule_export]
     use crate::lab::{
         Report, analyze, evaluate, report_recorded, report_simulated, simulate, train_recordings,
-        train_simulated,
+        train_simulated, trips,
     };
     #[pymodule_export]
     use crate::online::OnlineRobots;

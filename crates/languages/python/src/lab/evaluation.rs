@@ -14,7 +14,7 @@ use super::recordings::Inputs;
 use super::{Choice, job, json, models, refused, settings};
 use crate::array::array;
 use crate::error::ConnectError;
-use crate::recordings::{Given, Reading};
+use crate::recordings::{Given, Reading, refused_trial};
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -108,6 +108,25 @@ pub(crate) fn evaluate<'py>(
     let series = series.collect::<PyResult<Vec<_>>>()?;
     let report = EvalReport::new(&live, vec![report]);
     Ok((json(&report)?, report.to_string(), series))
+}
+
+/// Trips of the recordings as JSON, as of `joulebus eval --trips`. `remark` as of [`evaluate`].
+#[pyfunction]
+pub(crate) fn trips(
+    py: Python<'_>,
+    recordings: &Bound<'_, PyAny>,
+    reading: Given,
+    remark: &Bound<'_, PyAny>,
+) -> PyResult<String> {
+    let (inputs, reading) = (Inputs::new(recordings)?, Reading::new(reading)?);
+    let work = move |reporter: &job::Reporter<String>| {
+        let remark = |text| {
+            let _ = reporter.report(text);
+        };
+        let recordings = inputs.recordings(&reading, |id| id, remark)?;
+        json(&joulebus_eval::trips::trips(&recordings).map_err(|error| refused_trial(&error))?)
+    };
+    job::run(py, work, |text| remark.call1((text,)).map(|_| ()))
 }
 
 /// The scored readings of a trial and their forecasts.
