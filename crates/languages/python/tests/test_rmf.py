@@ -4,12 +4,14 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+import time
 
 import joulebus
 import numpy as np
 import pytest
 from conftest import ROOT, needed
 from joulebus import rmf
+from worker import PATIENCE_S, Fleet, until
 
 DATA = ROOT.parent / "shared/data"
 MADE = {"mass_kg": 80.0, "moment_of_inertia_kgm2": 20.0, "friction_coefficient": 0.22, "ambient_w": 25.0}
@@ -131,3 +133,31 @@ def test_real_drives_have_errors_beside_those_of_joulebus(folder, pattern, most)
     told = re.search(r"missed by: rmf_battery (\S+) %, mean power of the others (\S+) %, joulebus (\S+) %", done.stderr)
     assert [round(100.0 * one, 1) for one in errors.values()] == [float(one) for one in told.groups()]
     assert 0.0 < errors["rmf_battery"] < most and errors["joulebus"] < 0.25
+
+
+def test_a_capture_of_a_live_fleet_tells_its_battery(program, tmp_path):
+    battery = "[platform.battery]\ncapacity_wh = 10.0\ninitial_soc_lo = 0.9\n"
+    fleet, path = Fleet(program, tmp_path, 4, battery=battery), tmp_path / "run.mcap"
+    try:
+        fleet.start()
+        until("a worker", lambda: "ready" in fleet.log(), fleet)
+        recorder = subprocess.Popen([program, "record", "--config", fleet.config, "-o", path], stderr=subprocess.PIPE)
+        until("a recorder", path.exists, fleet)
+        with joulebus.Publisher(fleet.config, "robots") as publisher:
+            for tick in range(150):
+                v = 0.1 + 0.05 * np.sin(0.2 * tick + np.arange(4))
+                # Robot 0 is on its charger, whose current flows into the battery.
+                docked = np.arange(4) == 0
+                voltage, power = 4.0 + 0.01 * np.sin(tick), np.where(docked, np.nan, 3.0 + 9.0 * v)
+                current = np.where(docked, -2.0 + 0.1 * np.cos(tick), power / voltage)
+                columns = {"v": np.where(docked, 0.0, v), "power": power, "voltage": voltage, "current": current}
+                publisher.publish(np.arange(4), omega=0.0, charging=docked, **columns)
+                time.sleep(0.033)
+        recorder.terminate()
+        assert recorder.wait(PATIENCE_S) in (0, 3)
+    finally:
+        fleet.close()
+    found = rmf.fit(path).data
+    assert found["capacity_wh"] == pytest.approx(10.0, rel=1e-3) and found["charging_a"] == pytest.approx(2.0, rel=0.02)
+    assert found["voltage_v"] == pytest.approx(4.0, rel=0.01) and found["drives"] == 3
+    assert found["from"]["capacity_wh"] == "10 Wh by which the worker counted"
