@@ -97,7 +97,9 @@ impl Settings {
             let reading = platform.battery.map(|battery| battery.charge_reading);
             Some((id, reading.unwrap_or(joulebus_settings::ChargeReading::Load)))
         });
-        let judgement = Judgement::new(Source::Bridge, self.accepted.clone());
+        let routes = self.mqtt.iter().flat_map(|mqtt| &mqtt.routes);
+        let names = routes.flat_map(|route| route.fields.named()).collect();
+        let judgement = Judgement::new(Source::Bridge, self.accepted.clone()).named(names);
         Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
     }
 

@@ -225,7 +225,7 @@ impl Check<'_> {
         let fields = if section.has("fields") {
             self.outgoing_values(section, topic, what)?
         } else {
-            what.usual().iter().map(|value| OutgoingValue::plain(value)).collect()
+            what.usual().map(OutgoingValue::plain).collect()
         };
         Some(Write {
             what,

@@ -22,19 +22,15 @@ const MAX_LETTERS: usize = 80;
 pub(crate) enum Reason {
     /// Longer than `max_payload_bytes`, or than 64 KiB in ROS 2.
     TooLong,
-    /// Not JSON, nested too deeply, or with numbers beyond a 64-bit float.
     NotJson,
-    /// Not the CDR of its type.
     NotCdr,
     /// Not encoded in plain CDR, or as a message of MQTT.
     WrongEncoding,
     /// A participant with an incompatible quality of service.
     IncompatibleQos,
-    /// A name that `[robots]` does not have.
     UnknownRobot,
     /// A version of a standard that is not known: 1 to 3 of VDA 5050 are.
     UnknownVersion,
-    /// No value that the mapping names.
     Nothing,
     /// A value, or a topic, of another type than expected.
     WrongType,
@@ -50,13 +46,10 @@ pub(crate) enum Reason {
     Retained,
     /// Made long before it arrived, or by a clock that differs. It counts all the same.
     Late,
-    /// A topic that no route reads.
     NoRoute,
     /// A field that none of the first messages of a robot had.
     NeverCame,
-    /// An answer without a request of this bridge.
     NotAsked,
-    /// A request without an answer.
     NoAnswer,
     /// An answer that reports a failure or has no body.
     Refused,
@@ -73,7 +66,6 @@ impl From<Unusable> for Reason {
 }
 
 impl Reason {
-    /// The reason's name in reports.
     pub(crate) const fn name(self) -> &'static str {
         match self {
             Self::TooLong => "too_long",
@@ -125,7 +117,6 @@ pub(crate) struct Account {
     news: Vec<String>,
 }
 
-/// Messages of a robot on a route.
 #[derive(Debug, Clone, Copy, Default)]
 struct Came {
     messages: u32,
@@ -139,16 +130,11 @@ struct Kind {
     names: BTreeSet<String>,
 }
 
-/// A line of the account.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub(crate) struct UnmappedRecord {
-    /// The topic's pattern.
     pub(crate) route: String,
-    /// The reason's name.
     pub(crate) reason: &'static str,
-    /// Number of occurrences.
     pub(crate) count: u64,
-    /// The first robots, topics or fields concerned.
     pub(crate) names: Vec<String>,
 }
 
@@ -202,12 +188,10 @@ impl Account {
         std::mem::take(&mut self.news)
     }
 
-    /// Number of messages or values lost.
     pub(crate) const fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// All counters, by route and reason.
     pub(crate) fn records(&self) -> Vec<UnmappedRecord> {
         let record = |((route, reason), kind): (&(String, Reason), &Kind)| UnmappedRecord {
             route: route.clone(),

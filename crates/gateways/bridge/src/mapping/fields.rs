@@ -1,7 +1,7 @@
 //! Values in a JSON document: their positions, units and signs.
 
 use joulebus_plausibility::moment::{self, TimeForm};
-use joulebus_plausibility::{Field, Said};
+use joulebus_plausibility::{Field, Quantity as Judged, Said};
 use serde_json::Value;
 
 use crate::mapping::account::Reason;
@@ -54,7 +54,6 @@ pub(crate) struct Number {
 }
 
 impl Number {
-    /// A number at `path` in the SI unit.
     pub(crate) fn si(quantity: Quantity, path: &str) -> Self {
         Self { path: ValuePath::at(path), unit: quantity.si(), negate: false }
     }
@@ -79,7 +78,6 @@ pub(crate) struct Flag {
 }
 
 impl Flag {
-    /// A boolean at `path`.
     pub(crate) fn at(path: &str) -> Self {
         Self { path: ValuePath::at(path), is: vec![Value::Bool(true)] }
     }
@@ -97,7 +95,6 @@ impl Flag {
     }
 }
 
-/// The values of a document, with their paths in it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub(crate) struct Fields {
     pub(crate) v: Option<Number>,
@@ -218,6 +215,17 @@ impl Fields {
             (Field::Power, &self.power),
         ];
         all.into_iter().filter_map(|(field, number)| Some((field, number.as_ref()?)))
+    }
+
+    /// What the mapping calls the quantities that are judged, with their units. A standard has its
+    /// own.
+    pub(crate) fn named(&self) -> Vec<(Judged, String)> {
+        let is_own = |_: &(Field, &Number)| self.standard.is_none();
+        let named = self.numbers().filter(is_own).filter_map(|(field, number)| {
+            let quantity = Judged::ALL.into_iter().find(|one| one.name() == name(field))?;
+            Some((quantity, format!("{}_{}", quantity.name(), number.unit.name)))
+        });
+        named.collect()
     }
 
     /// The fields that the mapping names, and whether a message had them.

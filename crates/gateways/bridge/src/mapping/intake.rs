@@ -44,7 +44,6 @@ pub(crate) struct Holds {
     pub(crate) silent_ns: u64,
 }
 
-/// A value with the monotonic time of its message, ns.
 #[derive(Debug, Clone, Copy)]
 struct Timed<T> {
     value: T,
@@ -90,7 +89,6 @@ struct Robot {
     off: bool,
     sampled_off: bool,
     monitor: CurrentMonitor,
-    /// The power is voltage times current.
     power_of_current: bool,
     /// A message has said whether the robot charges. Otherwise the sign of its power does.
     says_charging: bool,
@@ -126,13 +124,11 @@ impl Intake {
         }
     }
 
-    /// With another judgement of what robots report.
     #[must_use]
     pub(crate) fn judged_by(self, judgement: Judgement) -> Self {
         Self { judgement, ..self }
     }
 
-    /// The judgement of what robots report.
     pub(crate) const fn judgement(&mut self) -> &mut Judgement {
         &mut self.judgement
     }
@@ -257,7 +253,6 @@ impl Intake {
         timed.within(self.holds.reading_ns, now_ns)
     }
 
-    /// Robots that nothing has come from.
     pub(crate) fn silent(&self) -> impl Iterator<Item = u32> {
         let silent = self.robots.iter().filter(|(_, known)| known.any_ns.is_none());
         silent.map(|(id, _)| *id)
@@ -271,7 +266,6 @@ impl Intake {
         unreported.map(|(id, _)| *id)
     }
 
-    /// Number of observations taken.
     pub(crate) const fn observations(&self) -> u64 {
         self.observations
     }
@@ -310,7 +304,6 @@ impl Robot {
         }
     }
 
-    /// Notes whether the battery was exchanged.
     fn note_exchange(&mut self, seen: &Observation, holds_ns: u64, at_ns: u64) {
         let said = |before_ns: u64| at_ns.saturating_sub(before_ns) <= holds_ns;
         match seen.swapped {

@@ -3,12 +3,10 @@
 use joulebus_plausibility::Mapped;
 pub(crate) use joulebus_plausibility::PowerOf;
 
-/// A power, and what it measures.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct PowerReading {
     /// The power, W, positive out of the battery.
     pub(crate) power_w: f32,
-    /// The flow that was measured.
     pub(crate) of: PowerOf,
 }
 
@@ -16,15 +14,10 @@ pub(crate) struct PowerReading {
 /// finite.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub(crate) struct Observation {
-    /// Linear velocity, m/s.
     pub(crate) v_mps: Option<f32>,
-    /// Angular velocity, rad/s.
     pub(crate) omega_radps: Option<f32>,
-    /// Power.
     pub(crate) power: Option<PowerReading>,
-    /// The power is voltage times current.
     pub(crate) power_of_current: bool,
-    /// Battery voltage, V.
     pub(crate) voltage_v: Option<f32>,
     /// Battery current, A, positive while discharging.
     pub(crate) current_a: Option<f32>,
@@ -32,11 +25,9 @@ pub(crate) struct Observation {
     pub(crate) is_reserved: bool,
     /// State of charge, 0 to 1.
     pub(crate) soc: Option<f32>,
-    /// Whether the robot is on its charger.
     pub(crate) charging: Option<bool>,
     /// True if the charger reports a full battery.
     pub(crate) full: Option<bool>,
-    /// True if the battery was exchanged.
     pub(crate) swapped: Option<bool>,
     /// True if there is no battery in the robot: one that comes back is another.
     pub(crate) removed: Option<bool>,
@@ -51,7 +42,6 @@ pub(crate) struct Observation {
 }
 
 impl Observation {
-    /// What is known of a message.
     pub(crate) fn of(mapped: &Mapped) -> Self {
         let number = |value: f64| (!value.is_nan()).then_some(value as f32);
         let seen = &mapped.seen;
@@ -71,32 +61,15 @@ impl Observation {
         }
     }
 
-    /// True if it has no value.
     pub(crate) fn is_empty(&self) -> bool {
-        let Self {
-            v_mps,
-            omega_radps,
-            power,
-            power_of_current: _,
-            voltage_v,
-            current_a,
-            is_reserved: _,
-            soc,
-            charging,
-            full,
-            swapped,
-            removed,
-            off,
-            reports_charging: _,
-            repeats: _,
-            has_ended,
-        } = self;
-        let numbers = [v_mps, omega_radps, voltage_v, current_a, soc];
-        numbers.iter().all(|number| number.is_none())
-            && power.is_none()
-            && charging.is_none()
-            && [full, swapped, removed].iter().all(|flag| flag.is_none())
-            && *off != Some(true)
-            && !has_ended
+        let said = Self {
+            power_of_current: false,
+            is_reserved: false,
+            reports_charging: false,
+            repeats: false,
+            off: self.off.filter(|is_off| *is_off),
+            ..*self
+        };
+        said == Self::default()
     }
 }

@@ -6,20 +6,16 @@ use serde_json::{Map, Value, json};
 
 use crate::mapping::units::{Quantity, Unit};
 
-/// A JSON object.
 pub(crate) type Object = Map<String, Value>;
 
-/// The contents of a topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum What {
-    /// The forecast of a robot's next reading.
     Forecast,
     /// The energy that a robot has drawn and has left.
     Budget,
     /// The energy that a robot will draw if it goes on as it does.
     Outlook,
-    /// The raised alarms of a robot.
     Alarms,
     /// Every raise and clearance of an alarm, of robots and of the worker.
     AlarmChanges,
@@ -28,7 +24,6 @@ pub(crate) enum What {
 }
 
 impl What {
-    /// True if each robot has a topic of its own.
     pub(crate) const fn is_of_robot(self) -> bool {
         matches!(self, Self::Forecast | Self::Budget | Self::Outlook | Self::Alarms)
     }
@@ -39,108 +34,50 @@ impl What {
     }
 
     /// The values of a document without a mapping of its own.
-    pub(crate) const fn usual(self) -> &'static [&'static str] {
-        match self {
-            Self::Forecast => &[
-                "robot",
-                "name",
-                "quality",
-                "stamp_unix_ns",
-                "target_unix_ns",
-                "reading_w",
-                "reading_age_s",
-                "power_w",
-                "lo_w",
-                "hi_w",
-                "residual_w",
-            ],
-            Self::Budget => &[
-                "robot",
-                "name",
-                "stamp_unix_ns",
-                "drawn_j",
-                "metered_s",
-                "unmetered_s",
-                "mean_power_w",
-                "soc",
-                "soc_lo",
-                "soc_hi",
-                "charging",
-                "usable_j",
-                "usable_lo_j",
-                "time_to_empty_s",
-                "time_to_empty_lo_s",
-                "time_to_empty_hi_s",
-            ],
-            Self::Outlook => &[
-                "robot",
-                "name",
-                "stamp_unix_ns",
-                "energy_1s_j",
-                "energy_1s_lo_j",
-                "energy_1s_hi_j",
-                "energy_10s_j",
-                "energy_10s_lo_j",
-                "energy_10s_hi_j",
-                "energy_60s_j",
-                "energy_60s_lo_j",
-                "energy_60s_hi_j",
-                "energy_300s_j",
-                "energy_300s_lo_j",
-                "energy_300s_hi_j",
-                "usable_j",
-                "time_to_empty_s",
-                "time_to_empty_lo_s",
-                "time_to_empty_hi_s",
-            ],
-            Self::Alarms => &["robot", "name", "level", "alarms"],
-            Self::AlarmChanges | Self::Status => &[],
-        }
+    pub(crate) fn usual(self) -> impl Iterator<Item = &'static str> {
+        let names = match self {
+            Self::Forecast => {
+                "robot name quality stamp_unix_ns target_unix_ns reading_w reading_age_s \
+                    power_w lo_w hi_w residual_w"
+            }
+            Self::Budget => {
+                "robot name stamp_unix_ns drawn_j metered_s unmetered_s mean_power_w soc \
+                    soc_lo soc_hi charging usable_j usable_lo_j time_to_empty_s \
+                    time_to_empty_lo_s time_to_empty_hi_s"
+            }
+            Self::Outlook => {
+                "robot name stamp_unix_ns energy_1s_j energy_1s_lo_j energy_1s_hi_j \
+                    energy_10s_j energy_10s_lo_j energy_10s_hi_j energy_60s_j energy_60s_lo_j \
+                    energy_60s_hi_j energy_300s_j energy_300s_lo_j energy_300s_hi_j usable_j \
+                    time_to_empty_s time_to_empty_lo_s time_to_empty_hi_s"
+            }
+            Self::Alarms => "robot name level alarms",
+            Self::AlarmChanges | Self::Status => "",
+        };
+        names.split_ascii_whitespace()
     }
 }
 
 /// All values of a robot, for use in mappings.
-const VALUES: &[(&str, Quantity)] = &[
-    ("robot", Quantity::Plain),
-    ("name", Quantity::Plain),
-    ("quality", Quantity::Plain),
-    ("quality_detail", Quantity::Plain),
-    ("stamp_unix_ns", Quantity::Plain),
-    ("target_unix_ns", Quantity::Plain),
-    ("reading_w", Quantity::Power),
-    ("reading_age_s", Quantity::Time),
-    ("power_w", Quantity::Power),
-    ("lo_w", Quantity::Power),
-    ("hi_w", Quantity::Power),
-    ("residual_w", Quantity::Power),
-    ("bias_w", Quantity::Power),
-    ("level", Quantity::Plain),
-    ("alarms", Quantity::Plain),
-    ("drawn_j", Quantity::Energy),
-    ("metered_s", Quantity::Time),
-    ("unmetered_s", Quantity::Time),
-    ("mean_power_w", Quantity::Power),
-    ("soc", Quantity::Share),
-    ("soc_lo", Quantity::Share),
-    ("soc_hi", Quantity::Share),
-    ("charging", Quantity::Plain),
-    ("usable_j", Quantity::Energy),
-    ("usable_lo_j", Quantity::Energy),
-    ("time_to_empty_s", Quantity::Time),
-    ("time_to_empty_lo_s", Quantity::Time),
-    ("time_to_empty_hi_s", Quantity::Time),
-    ("energy_1s_j", Quantity::Energy),
-    ("energy_1s_lo_j", Quantity::Energy),
-    ("energy_1s_hi_j", Quantity::Energy),
-    ("energy_10s_j", Quantity::Energy),
-    ("energy_10s_lo_j", Quantity::Energy),
-    ("energy_10s_hi_j", Quantity::Energy),
-    ("energy_60s_j", Quantity::Energy),
-    ("energy_60s_lo_j", Quantity::Energy),
-    ("energy_60s_hi_j", Quantity::Energy),
-    ("energy_300s_j", Quantity::Energy),
-    ("energy_300s_lo_j", Quantity::Energy),
-    ("energy_300s_hi_j", Quantity::Energy),
+const VALUES: [(Quantity, &str); 13] = [
+    (Quantity::Plain, "robot name quality quality_detail stamp_unix_ns target_unix_ns"),
+    (Quantity::Power, "reading_w"),
+    (Quantity::Time, "reading_age_s"),
+    (Quantity::Power, "power_w lo_w hi_w residual_w bias_w"),
+    (Quantity::Plain, "level alarms"),
+    (Quantity::Energy, "drawn_j"),
+    (Quantity::Time, "metered_s unmetered_s"),
+    (Quantity::Power, "mean_power_w"),
+    (Quantity::Share, "soc soc_lo soc_hi"),
+    (Quantity::Plain, "charging"),
+    (Quantity::Energy, "usable_j usable_lo_j"),
+    (Quantity::Time, "time_to_empty_s time_to_empty_lo_s time_to_empty_hi_s"),
+    (
+        Quantity::Energy,
+        "energy_1s_j energy_1s_lo_j energy_1s_hi_j energy_10s_j energy_10s_lo_j \
+            energy_10s_hi_j energy_60s_j energy_60s_lo_j energy_60s_hi_j energy_300s_j \
+            energy_300s_lo_j energy_300s_hi_j",
+    ),
 ];
 
 /// True if the value `name` is of an outlook, which the worker computes only for readers.
@@ -150,28 +87,23 @@ pub(crate) fn is_of_outlook(name: &str) -> bool {
 
 /// The quantity of the value `name`. `None` if there is no such value.
 pub(crate) fn quantity(name: &str) -> Option<Quantity> {
-    let found = VALUES.iter().find(|(value, _)| *value == name);
-    found.map(|(_, quantity)| *quantity)
+    let is_of = |names: &str| names.split(' ').any(|value| value == name);
+    VALUES.into_iter().find(|(_, names)| is_of(names)).map(|(quantity, _)| quantity)
 }
 
-/// The names of all values.
 pub(crate) fn value_names() -> impl Iterator<Item = &'static str> {
-    VALUES.iter().map(|(name, _)| *name)
+    VALUES.into_iter().flat_map(|(_, names)| names.split(' '))
 }
 
-/// A value of an outgoing document.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct OutgoingValue {
-    /// Name of the value.
     pub(crate) value: String,
-    /// Names of the members that lead to the value.
     pub(crate) path: Vec<String>,
     pub(crate) unit: Unit,
     pub(crate) negate: bool,
 }
 
 impl OutgoingValue {
-    /// The value under its own name.
     pub(crate) fn plain(value: &str) -> Self {
         Self {
             value: value.to_owned(),

@@ -3,12 +3,9 @@
 use std::collections::{BTreeMap, HashMap};
 use std::ops::RangeInclusive;
 
-/// Maximum length of a robot's name, bytes.
 const MAX_BYTES: usize = 128;
-/// Maximum number of robots in a range.
 const MAX_RANGE: u32 = 100_000;
 
-/// Reason that a line of `[robots]` is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum RobotsError {
     #[error("is no name: 1 to {MAX_BYTES} bytes without / + # and control characters")]
@@ -56,22 +53,18 @@ impl Robots {
         Ok(())
     }
 
-    /// The id of a name.
     pub(crate) fn id(&self, name: &str) -> Option<u32> {
         self.ids.get(name).copied()
     }
 
-    /// The name of an id.
     pub(crate) fn name(&self, id: u32) -> Option<&str> {
         self.names.get(&id).map(String::as_str)
     }
 
-    /// Ids and names, by id.
     pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, &str)> {
         self.names.iter().map(|(id, name)| (*id, name.as_str()))
     }
 
-    /// Number of robots.
     pub(crate) fn len(&self) -> usize {
         self.names.len()
     }

@@ -13,17 +13,14 @@ use crate::mapping::vizier;
 
 /// Number of rounds after which a request counts as unanswered.
 const ROUNDS: u64 = 3;
-/// The mark that some programs write in front of a text.
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Numbers that Python and JavaScript write though JSON has none of them: they are not known.
 const NOT_NUMBERS: [&[u8]; 3] = [b"NaN", b"-Infinity", b"Infinity"];
-/// Name of the route of a vizier's answers.
 const VIZIER: &str = "vizier";
 
 /// A pattern of topics, with the layout of their documents.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Route {
-    /// The pattern as written in the config.
     pub(crate) name: String,
     pub(crate) pattern: Pattern,
     pub(crate) fields: Fields,
@@ -31,7 +28,6 @@ pub(crate) struct Route {
     pub(crate) pass_on: Option<Template>,
 }
 
-/// A state of VDA 5050 that is to be passed on.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct State {
     pub(crate) robot: u32,
@@ -39,7 +35,6 @@ pub(crate) struct State {
     pub(crate) document: Value,
 }
 
-/// A received message.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Message<'m> {
     pub(crate) topic: &'m str,
@@ -61,26 +56,21 @@ pub(crate) struct Reader {
     states: Vec<State>,
 }
 
-/// The pending requests to a vizier's nodes.
 #[derive(Debug, Clone)]
 struct Vizier {
     client: String,
     fields: Fields,
     round: u64,
     next: u64,
-    /// Robot and round of each unanswered request.
     open: BTreeMap<u64, (u32, u64)>,
-    /// The newest status of each robot.
     newest: HashMap<u32, String>,
 }
 
 impl Reader {
-    /// Creates a reader of payloads up to `max_bytes`.
     pub(crate) fn new(routes: Vec<Route>, robots: Robots, max_bytes: usize) -> Self {
         Self { routes, robots, max_bytes, vizier: None, states: Vec::new() }
     }
 
-    /// Adds the answers of a vizier to `client`.
     #[must_use]
     pub(crate) fn with_vizier(mut self, client: &str, fields: Fields) -> Self {
         self.vizier = Some(Vizier {
@@ -211,7 +201,6 @@ fn without_nan(payload: &[u8]) -> Vec<u8> {
     text
 }
 
-/// One message on one route.
 struct Reading<'a> {
     route: &'a str,
     message: Message<'a>,

@@ -15,7 +15,6 @@ const OVERTAKEN_NS: u64 = 100_000_000;
 const STANDS_NS: u64 = 2_000_000_000;
 /// Time after which a clock that never came is missed.
 const MISSED_NS: u64 = 5_000_000_000;
-/// Time over which the rate is measured.
 const RATE_NS: u64 = 5_000_000_000;
 /// Factor by which the rate differs from the reported one before it is reported again.
 const OTHER_RATE: f64 = 1.5;
@@ -53,10 +52,8 @@ impl Allowed {
     }
 }
 
-/// State of the clock.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum ClockState {
-    /// No message has come.
     Missing,
     /// The simulation is paused, or has ended.
     Stands,

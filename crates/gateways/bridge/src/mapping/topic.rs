@@ -2,10 +2,8 @@
 
 /// Maximum length of a topic, bytes. MQTT allows 65,535.
 const MAX_BYTES: usize = 512;
-/// The placeholder of a robot's name.
 pub(crate) const ROBOT: &str = "{robot}";
 
-/// Reason that a pattern is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum TopicError {
     #[error("has {found} bytes, allowed are 1 to {MAX_BYTES}")]
@@ -58,12 +56,10 @@ impl Pattern {
         Ok(Self { share, levels })
     }
 
-    /// True if the pattern has the robot's name.
     pub(crate) fn has_robot(&self) -> bool {
         self.levels.iter().any(|level| level.contains(ROBOT))
     }
 
-    /// The topic filter to subscribe to.
     pub(crate) fn filter(&self) -> String {
         let levels = self.levels.iter().map(|level| {
             let is_named = level.contains(ROBOT);
@@ -113,7 +109,6 @@ impl Template {
         }
     }
 
-    /// The topic of a robot, or of the fleet.
     pub(crate) fn of(&self, robot: &str) -> String {
         self.0.replace(ROBOT, robot)
     }

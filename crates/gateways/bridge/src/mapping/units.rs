@@ -2,7 +2,6 @@
 
 use std::f64::consts::PI;
 
-/// The quantity that a number measures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Quantity {
     Power,
@@ -17,7 +16,6 @@ pub(crate) enum Quantity {
     Plain,
 }
 
-/// A unit, and its size in the SI unit.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(crate) struct Unit {
     pub(crate) name: &'static str,
@@ -31,7 +29,6 @@ impl Unit {
     }
 }
 
-/// A unit that does not measure the quantity.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{found:?} is no unit of {quantity}, allowed are {allowed}")]
 pub(crate) struct UnitError {
@@ -70,13 +67,11 @@ impl Quantity {
         }
     }
 
-    /// The SI unit.
     pub(crate) const fn si(self) -> Unit {
         let (name, size) = self.units()[0];
         Unit { name, size }
     }
 
-    /// The unit called `name`.
     pub(crate) fn unit(self, name: &str) -> Result<Unit, UnitError> {
         let found = self.units().iter().find(|(unit, _)| *unit == name);
         let unit = found.map(|(name, size)| Unit { name, size: *size });

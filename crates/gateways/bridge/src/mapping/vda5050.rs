@@ -5,7 +5,6 @@ use serde_json::{Value, json};
 
 use crate::mapping::outgoing::{Object, What};
 
-/// Name of the information.
 const TYPE: &str = "joulebus.outlook";
 const DESCRIPTION: &str =
     "Energy that the vehicle will draw if it goes on as it does (J), and time to empty (s)";
@@ -15,9 +14,9 @@ const NOT_INFORMATION: [&str; 2] = ["robot", "name"];
 /// Adds the outlook of a vehicle to the information of its state, if it is known. Other members of
 /// the state stay as they are.
 pub(crate) fn add_outlook(state: &mut Value, values: &Object) {
-    let names = What::Outlook.usual().iter().filter(|name| !NOT_INFORMATION.contains(name));
+    let names = What::Outlook.usual().filter(|name| !NOT_INFORMATION.contains(name));
     // As digits of JSON: a stamp keeps its nanoseconds, and a tiny energy has no 300 zeros.
-    let known = names.filter_map(|name| Some((name, values.get(*name)?.as_number()?)));
+    let known = names.filter_map(|name| Some((name, values.get(name)?.as_number()?)));
     let references: Vec<Value> = known
         .map(|(name, value)| json!({"referenceKey": name, "referenceValue": value.to_string()}))
         .collect();
@@ -73,7 +72,7 @@ mod tests {
     #[test]
     fn an_information_is_short_whatever_the_robot_and_its_values() {
         let known = |value: f64| {
-            let names = What::Outlook.usual().iter();
+            let names = What::Outlook.usual();
             let mut known: Object = names.map(|name| ((*name).to_owned(), json!(value))).collect();
             known.insert("name".to_owned(), json!("n".repeat(128)));
             known

@@ -12,12 +12,10 @@ use crate::mapping::units::{Quantity, Unit};
 /// Status of an answer with data.
 const SUCCESS: u64 = 200;
 
-/// The topic of requests to a node.
 pub(crate) fn request_topic(node: &str) -> String {
     format!("{node}/requests")
 }
 
-/// The topic filter of answers to `client`.
 pub(crate) fn response_filter(client: &str) -> String {
     format!("+/responses/{client}/+")
 }
@@ -75,7 +73,6 @@ pub(crate) fn status_fields() -> Fields {
     }
 }
 
-/// The fields of a GTernal's command input.
 pub(crate) fn command_fields() -> Fields {
     Fields {
         v: Some(Number::si(Quantity::Speed, "v")),

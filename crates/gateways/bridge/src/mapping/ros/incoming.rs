@@ -21,11 +21,8 @@ pub(crate) const DISCHARGING: u8 = 2;
 /// A pattern of topics, one for each robot.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct RosRoute {
-    /// The pattern as written in the config.
     pub(crate) name: String,
-    /// The template of a robot's topic.
     pub(crate) topic: Template,
-    /// The pattern that finds the robot of a topic.
     pub(crate) pattern: Pattern,
     pub(crate) kind: RosType,
     pub(crate) battery: BatteryFields,
@@ -36,16 +33,13 @@ pub(crate) struct RosRoute {
 pub(crate) struct BatteryFields {
     /// The current is positive while discharging, contrary to the message's definition.
     pub(crate) discharge_is_positive: bool,
-    /// The unit of `percentage`.
     pub(crate) percentage: Unit,
     /// The flow whose power is voltage times current. `None`: not a power.
     pub(crate) power_of: Option<PowerOf>,
 }
 
-/// A received message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) struct Received {
-    /// Its length, bytes.
     pub(crate) length: usize,
     /// Its bytes with the encapsulation header. If there are more than [`MAX_BYTES`], only the
     /// first, by which a request that is too long is answered.

@@ -5,7 +5,6 @@ use joulebus_ros_messages::RosType;
 /// Maximum length of a topic, bytes. DDS allows 256 with its prefix.
 const MAX_BYTES: usize = 250;
 
-/// The types that are read, and their names in ROS 2.
 const TYPES: [(RosType, &str); 4] = [
     (RosType::BatteryState, "sensor_msgs/msg/BatteryState"),
     (RosType::Twist, "geometry_msgs/msg/Twist"),
@@ -13,7 +12,6 @@ const TYPES: [(RosType, &str); 4] = [
     (RosType::Odometry, "nav_msgs/msg/Odometry"),
 ];
 
-/// Reason that a topic or a type is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub(crate) enum NameError {
     #[error(
@@ -36,20 +34,17 @@ pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
     })
 }
 
-/// The name of a type in ROS 2.
 pub(crate) fn ros_type(kind: RosType) -> &'static str {
     let found = TYPES.iter().find(|(other, _)| *other == kind);
     found.map_or("", |(_, name)| name)
 }
 
-/// The name in DDS of a type of ROS 2.
 pub(crate) fn dds_type(name: &str) -> String {
     let mut parts = name.rsplitn(2, '/');
     let (last, package) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
     format!("{}::dds_::{last}_", package.replace('/', "::"))
 }
 
-/// The name of a topic in DDS.
 pub(crate) fn dds_topic(topic: &str) -> String {
     format!("rt{topic}")
 }
@@ -65,7 +60,6 @@ pub(crate) fn node_name(bridge: &str) -> String {
     format!("joulebus_{}", bridge.chars().map(letter).collect::<String>())
 }
 
-/// Refuses a text that is no absolute topic.
 pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
     let is_part = |part: &str| {
         let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';

@@ -38,7 +38,6 @@ fn diagnosed() -> impl Iterator<Item = &'static str> {
     value_names().filter(|name| !NOT_DIAGNOSED.contains(name) && !is_of_outlook(name))
 }
 
-/// The contents of a ROS 2 topic.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub(crate) enum RosWhat {
@@ -48,14 +47,12 @@ pub(crate) enum RosWhat {
     Budget,
     /// The energy that a robot will draw if it goes on as it does.
     Outlook,
-    /// One value of a robot.
     Value,
     /// Levels, alarms, forecasts and budgets of all robots, and the worker.
     Diagnostics,
 }
 
 impl RosWhat {
-    /// True if each robot has a topic of its own.
     pub(crate) const fn is_of_robot(self) -> bool {
         !matches!(self, Self::Diagnostics)
     }
@@ -65,7 +62,6 @@ impl RosWhat {
         matches!(self, Self::Budget | Self::Diagnostics)
     }
 
-    /// Its type in ROS 2.
     pub(crate) const fn type_name(self) -> &'static str {
         match self {
             Self::Forecast | Self::Budget => "sensor_msgs/msg/BatteryState",
@@ -85,7 +81,6 @@ pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> B
     BatteryState { current: current_a as f32, ..battery(name, "target_unix_ns", values, voltage_v) }
 }
 
-/// The energy left in a robot's battery.
 pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
     let usable_ah = voltage_v
         .filter(|voltage_v| *voltage_v > 0.0)
@@ -121,7 +116,6 @@ pub(crate) fn value(field: &OutgoingValue, values: &Object) -> Float64 {
     Float64 { data }
 }
 
-/// The status of a robot with its alarms, forecast and budget.
 pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
     let text = |value: &str| values.get(value).and_then(Value::as_str);
     let level = match text("level") {
@@ -177,7 +171,6 @@ pub(crate) fn add_implausible(status: &mut DiagnosticStatus, found: &Implausible
     });
 }
 
-/// The status of the worker and of this bridge.
 pub(crate) fn worker_status(
     (fleet, bridge): (&str, &str),
     (level, worker): (u8, &str),
@@ -357,7 +350,7 @@ mod tests {
         add_implausible(&mut status, &judgement.records()[0]);
         assert_eq!((status.level, status.message.as_str()), (1, "implausible sign"));
         let last = &status.values.last().unwrap().value;
-        assert!(last.contains("negate = true"), "{last}");
+        assert!(last.contains("turn the sign with the other `current`"), "{last}");
         let bytes = encode(&diagnostics(1, vec![status; 100])).unwrap().len();
         assert!(bytes < 100 * STATUS_BYTES, "{bytes}");
     }

@@ -11,16 +11,12 @@ use joulebus_ros_messages::{
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::names::dds_type;
 
-/// A service of the bridge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Service {
-    /// Questions about plans.
     WhatIf,
-    /// Acknowledgements of alarms.
     Acknowledge,
 }
 
-/// A request to the worker.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) enum Request {
     Ask(Question),
@@ -30,7 +26,6 @@ pub(crate) enum Request {
 impl Service {
     pub(crate) const ALL: [Self; 2] = [Self::WhatIf, Self::Acknowledge];
 
-    /// Its key in the file.
     pub(crate) const fn key(self) -> &'static str {
         match self {
             Self::WhatIf => "what_if",
@@ -38,7 +33,6 @@ impl Service {
         }
     }
 
-    /// Its type in ROS 2.
     pub(crate) const fn type_name(self) -> &'static str {
         match self {
             Self::WhatIf => "joulebus_msgs/srv/WhatIf",
@@ -83,17 +77,11 @@ impl Service {
 }
 
 /// Encodes that the worker has taken an acknowledgement.
-///
-/// # Errors
-/// None occur.
 pub(crate) fn acknowledged() -> Result<Vec<u8>, RosError> {
     encode(&AcknowledgeResponse { success: true, message: String::new() })
 }
 
 /// Encodes the answers, which were computed from the state of this tick and age.
-///
-/// # Errors
-/// None occur.
 pub(crate) fn answered(
     reply: &Reply,
     (tick, age_ns): (u64, u64),
