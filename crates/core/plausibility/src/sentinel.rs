@@ -45,15 +45,12 @@ const UNITS: [f64; 4] = [1.0, 1e-3, 1e-6, 1e-2];
 
 /// A number far from all others that comes again and again.
 pub(crate) struct Sentinel {
-    /// Its readings.
     pub(crate) count: u64,
-    /// In SI units.
     pub(crate) value: f64,
     /// The value as the file has it, as far as that is known.
     pub(crate) written: f64,
 }
 
-/// The sentinel of a column.
 pub(crate) fn sentinel(column: &Column) -> Option<Sentinel> {
     let ends = [
         (column.at_least, column.least, column.above_least, column.greatest),
@@ -116,7 +113,6 @@ pub(crate) fn dropped(voltage: &Column) -> Option<(u64, bool)> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Reserved([Amount; CURRENTS.len()]);
 
-/// Readings in one unit.
 #[derive(Debug, Clone, Copy)]
 struct Amount {
     exact: u64,

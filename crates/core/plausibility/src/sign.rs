@@ -195,7 +195,6 @@ pub(crate) struct Sign {
     mirror: Mirror,
 }
 
-/// Evidence that a sign is wrong.
 pub(crate) struct WrongSign {
     pub(crate) severity: Severity,
     pub(crate) readings: u64,

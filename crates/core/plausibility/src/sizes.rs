@@ -47,7 +47,6 @@ impl Sizes {
         Some([group(0, pair[1]), group(pair[1], BUCKETS)])
     }
 
-    /// Values that were counted.
     pub(crate) const fn count(&self) -> u64 {
         self.count
     }

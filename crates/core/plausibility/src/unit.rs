@@ -34,17 +34,14 @@ const FULL: f64 = 1.05;
 const VEHICLE_V: f64 = 24.0;
 /// Readings that rise before they are a counter's.
 const MIN_COUNTS: u64 = 100;
-/// Factor between two units of a quantity.
 const THOUSAND: f64 = 1_000.0;
 /// Units of a column that states none, in thousands of the one in which it is read.
 const UNSTATED: [i8; 3] = [0, 1, -1];
 
-/// A factor of so many thousands.
 fn scale(thousands: i8) -> f64 {
     THOUSAND.powi(thousands.into())
 }
 
-/// Sizes that are judged together.
 pub(crate) struct Magnitudes<'a> {
     pub(crate) columns: &'a [Column; 6],
     /// |power| over |voltage · current|.
@@ -53,7 +50,6 @@ pub(crate) struct Magnitudes<'a> {
     pub(crate) implied: &'a Sizes,
     /// Power while the robot moves at 0.1 m/s or more.
     pub(crate) driving: &'a Sizes,
-    /// Observations of it.
     pub(crate) driven: u64,
     /// Fall of the voltage for each ampere more, Ω, if it is clear.
     pub(crate) resistance_ohm: Option<f64>,
@@ -264,7 +260,6 @@ impl Magnitudes<'_> {
         found
     }
 
-    /// True if power was made of voltage and current.
     fn is_product(&self) -> bool {
         self.ratios.usual().is_some_and(is_product)
     }
@@ -472,7 +467,6 @@ impl Magnitudes<'_> {
     }
 }
 
-/// True if power was made of voltage and current.
 fn is_product(ratio: f64) -> bool {
     (ratio - 1.0).abs() < 1e-6
 }

@@ -146,10 +146,8 @@ fn spilled(error: &io::Error) -> String {
     )
 }
 
-/// A robot: its fleet and id.
 type Robot = (Arc<str>, u32);
 
-/// Bytes of a sample in the temporary file.
 const SAMPLE_BYTES: usize = size_of::<Sample>();
 /// Samples in memory before they go to the temporary file: 75 MB.
 const MAX_PENDING: usize = 1 << 20;
@@ -165,7 +163,6 @@ struct Store {
     written_bytes: u64,
 }
 
-/// One run.
 #[derive(Default)]
 struct Run {
     /// Positions of samples in the temporary file, and their numbers.

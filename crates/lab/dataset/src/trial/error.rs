@@ -64,7 +64,6 @@ impl TrialError {
         Self { path, fault, row: None, what, rest, source: None }
     }
 
-    /// The same in a row.
     pub(super) fn in_row(self, row: usize) -> Self {
         let rest = if self.is_of_lines() { LEAVE_OUT } else { "" };
         Self { row: Some(row), rest: rest.to_owned(), ..self }

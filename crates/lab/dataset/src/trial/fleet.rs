@@ -141,7 +141,6 @@ impl TrialFleet {
     }
 }
 
-/// Playback position of one robot.
 #[derive(Debug, Clone)]
 struct Player {
     robot: u32,

@@ -12,14 +12,11 @@ use super::numbers::{Numbers, is_missing, with_unit};
 use super::table::{Cell, Column, SourceColumn, Table, Tables, check_value};
 use super::times::{TimeColumns, Times};
 
-/// Position of a column's value in a row.
 enum Source {
     Position(usize),
     /// The same, where each value has its own unit behind it.
     WithUnit(usize),
-    /// A value that every row has.
     Constant(f64),
-    /// A sum of columns and products of columns.
     Sum(Vec<Term>),
 }
 
@@ -31,7 +28,6 @@ struct Wanted {
     name: String,
 }
 
-/// What a row says.
 pub(super) struct Row {
     robot: String,
     time: f64,
@@ -41,7 +37,6 @@ pub(super) struct Row {
 
 /// Position of each column of the table in a row.
 pub(super) struct Layout {
-    /// Fields of a row.
     fields: usize,
     /// True if the header ends with a separator.
     ends_empty: bool,
@@ -56,15 +51,12 @@ pub(super) struct Layout {
     /// Position of what says whether the battery charges, and whether numbers in it are those of
     /// ROS's `power_supply_status`.
     charging: Option<(usize, bool)>,
-    /// True if power is voltage times current.
     by_product: bool,
-    /// Numbers that stand for no value.
     missing: Vec<f64>,
     /// The map as it applies to this file.
     map: ColumnMap,
     sources: Vec<SourceColumn>,
     pub(super) ignored_columns: Vec<String>,
-    /// A column of few words by which rows alternate.
     apart: Option<String>,
 }
 
@@ -80,7 +72,6 @@ impl From<TrialError> for Lacking {
     }
 }
 
-/// The first of some names.
 fn begun(names: &[String]) -> String {
     names.join(", ").chars().take(400).collect()
 }
@@ -469,7 +460,6 @@ impl Layout {
         }
     }
 
-    /// Adds a row to the table of its robot.
     pub(super) fn push(
         &self,
         cell: Cell<'_>,

@@ -9,13 +9,11 @@ pub(super) const MAX_WHOLE_ROWS: usize = 1 << 24;
 pub(super) const MAX_FILE_ROWS: usize = u32::MAX as usize;
 /// Maximum bytes of text in a CSV, after decompression.
 pub(super) const MAX_TEXT_BYTES: u64 = 64 << 30;
-/// Maximum bytes of text in a row.
 pub(super) const MAX_ROW_BYTES: u64 = 1 << 20;
 /// Bytes of text that any compressed file may contain.
 pub(super) const FREE_TEXT_BYTES: u64 = 16 << 20;
 /// Maximum bytes of text per byte of a larger compressed file. Recordings have about 5.
 pub(super) const MAX_EXPANSION: u64 = 100;
-/// Maximum number of robots in a file.
 pub(super) const MAX_ROBOTS: usize = 10_000;
 
 /// Part of a file that is in memory at a time.
@@ -23,12 +21,10 @@ pub(super) const MAX_ROBOTS: usize = 10_000;
 pub(super) struct InMemory {
     /// Rows after which a part is complete.
     pub(super) part_rows: usize,
-    /// Maximum number of rows.
     pub(super) max_rows: usize,
 }
 
 impl InMemory {
-    /// The whole file.
     pub(super) const WHOLE: Self = Self { part_rows: usize::MAX, max_rows: MAX_WHOLE_ROWS };
 
     /// Parts of it, one after another.
@@ -38,5 +34,4 @@ impl InMemory {
 }
 
 pub(super) const GZIP_MAGIC: &[u8] = b"\x1f\x8b";
-/// The first bytes of an MCAP file.
 pub(super) const MCAP_MAGIC: &[u8] = b"\x89MCAP0\r\n";

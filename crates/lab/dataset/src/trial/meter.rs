@@ -19,7 +19,6 @@ pub(super) struct Meter {
     /// The beginning of the text, of which `taken` bytes were read.
     pub(super) head: Vec<u8>,
     taken: usize,
-    /// Error of reading after the head.
     failed: Option<io::Error>,
     ended: bool,
     bytes: u64,
@@ -89,7 +88,6 @@ impl Meter {
         Ok(())
     }
 
-    /// A row was complete.
     pub(super) const fn end_row(&mut self) {
         self.row_bytes = 0;
     }

@@ -21,7 +21,6 @@ pub enum Quantity {
     Missing,
 }
 
-/// A quantity with its spellings.
 struct Spelling {
     quantity: Quantity,
     /// Its name in [`ColumnMap`] and in messages.
@@ -178,7 +177,6 @@ fn plain(name: &str) -> String {
 /// that states none, `power_mW=p1`.
 #[derive(Debug, Clone, PartialEq)]
 pub struct MappedColumn {
-    /// The map as it was given.
     text: String,
     quantity: Quantity,
     /// The name in the file, or the value of every row.
@@ -271,7 +269,6 @@ impl FromStr for MappedColumn {
 }
 
 impl MappedColumn {
-    /// True if the unit is stated.
     pub(super) const fn names_unit(&self) -> bool {
         self.states_unit
     }
@@ -302,10 +299,8 @@ impl From<Vec<MappedColumn>> for ColumnMap {
     }
 }
 
-/// A column that was found in a file.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Found {
-    /// Its position.
     pub(super) position: usize,
     /// Factor to the unit of the layout.
     pub(super) factor: f64,
@@ -320,7 +315,6 @@ impl ColumnMap {
         Self { turned, ..self }
     }
 
-    /// With further columns.
     pub(super) fn with(mut self, columns: Vec<MappedColumn>) -> Self {
         self.columns.extend(columns);
         self
@@ -357,7 +351,6 @@ impl ColumnMap {
         InMemory::parts(self.part_rows.unwrap_or(MAX_ROWS))
     }
 
-    /// True if lines that are no whole rows are left out.
     pub(super) const fn leaves_out(&self) -> bool {
         self.whole_rows
     }
@@ -434,7 +427,6 @@ impl ColumnMap {
         Some((terms, column.factor.abs(), column.name.clone()))
     }
 
-    /// Numbers that stand for no value.
     pub(super) fn missing(&self) -> Vec<f64> {
         let columns = self.columns.iter().filter(|column| column.quantity == Quantity::Missing);
         let numbers =
@@ -511,12 +503,9 @@ impl ColumnMap {
     }
 }
 
-/// A part of a sum: columns that are multiplied.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Term {
-    /// 1 or −1.
     pub(super) sign: f64,
-    /// Positions of the columns.
     pub(super) factors: Vec<usize>,
 }
 

@@ -16,7 +16,6 @@ use super::table::{Cell, Column, LeftOut, Tables, Take, check_value};
 const WIDTH: usize = 11;
 const ROBOT: usize = 0;
 const TIME: usize = 1;
-/// Rows that are read at a time.
 const BLOCK_ROWS: usize = 1 << 14;
 
 /// Reads the array part by part. The size of the file bounds what its header may claim.
@@ -129,7 +128,6 @@ fn of_shape(path: &Path, found: &str) -> TrialError {
     TrialError::new(path, Fault::Shape, what)
 }
 
-/// Number of rows and bytes per element.
 fn check_array(path: &Path, header: &Header) -> Result<(usize, u64), TrialError> {
     let item_bytes = match header.element.as_str() {
         "|O" => {

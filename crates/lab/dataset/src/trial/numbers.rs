@@ -1,11 +1,9 @@
 //! Numbers as other programs write them in fields of a text.
 
-/// Form of the numbers of a text.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Numbers {
     /// True if a comma is in front of the fraction. Unknown until a number shows it.
     pub(super) decimal_comma: Option<bool>,
-    /// True if a number had a point.
     pub(super) has_point: bool,
 }
 

@@ -111,11 +111,8 @@ impl Table {
 
 /// The rows that advance, and how long each is held.
 struct Spans {
-    /// Index of each in the table.
     row: Vec<usize>,
-    /// Time after the first, s.
     from_s: Vec<f64>,
-    /// End of the hold.
     until_s: Vec<f64>,
 }
 
@@ -151,14 +148,12 @@ impl Spans {
     }
 }
 
-/// Rows on a grid.
 struct Grid {
     timestamp_s: Vec<f64>,
     columns: Columns,
 }
 
 impl Grid {
-    /// The grid as the table of a file.
     fn of(self, path: &Path, robot_name: Option<&str>) -> Table {
         let Self { timestamp_s, columns } = self;
         Table {
