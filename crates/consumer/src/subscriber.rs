@@ -387,7 +387,6 @@ impl Subscriber {
     }
 
     /// Opens the records of the worker's questions, whose header counts those answered and refused.
-    /// Few readers are allowed at once: recorders come first.
     ///
     /// # Errors
     /// [`ConnectError`] with the cause and the remedy.

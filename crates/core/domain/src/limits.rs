@@ -51,8 +51,8 @@ const OF_WORKER: usize = 2;
 const RECORDERS: usize = 2;
 /// Links that a host can have at once.
 const LINKS: usize = 1;
-/// Views that read what is sent for recorders: questions, the journal, samples.
-const VIEWS: usize = 4;
+/// Others that read samples and the journal, such as the demo's view.
+const OTHERS: usize = 2;
 /// Maximum number of frames that a journal lists, whatever the limits: 160 KiB.
 const MAX_LISTED: usize = 4_096;
 
@@ -112,7 +112,7 @@ impl Limits {
             Flow::Sources => Shape {
                 publishers: self.max_sources + SPARE,
                 // The worker, and recorders.
-                subscribers: 1 + RECORDERS + LINKS + VIEWS,
+                subscribers: 1 + RECORDERS + LINKS + OTHERS,
                 buffer: self.sample_frames,
                 borrowed: 1,
                 history: 0,
@@ -125,9 +125,9 @@ impl Limits {
                 borrowed: 2 + kept,
                 history,
             },
-            Flow::Recorders { queued, history } => Shape {
+            Flow::Recorders { queued, history, .. } => Shape {
                 publishers: 1 + SPARE,
-                subscribers: RECORDERS + LINKS + VIEWS,
+                subscribers: self.open_places(flow) + RECORDERS + LINKS,
                 buffer: queued,
                 borrowed: 1,
                 history,
@@ -140,8 +140,10 @@ impl Limits {
     #[must_use]
     pub const fn open_places(&self, flow: Flow) -> usize {
         match flow {
-            Flow::Planners { .. } => self.max_planners + SPARE,
-            Flow::Sources | Flow::Recorders { .. } => VIEWS,
+            Flow::Planners { .. } | Flow::Recorders { views: true, .. } => {
+                self.max_planners + SPARE
+            }
+            Flow::Sources | Flow::Recorders { views: false, .. } => OTHERS,
         }
     }
 

@@ -48,12 +48,14 @@ pub enum Flow {
         /// True if the worker computes and sends them only while somebody reads them.
         on_demand: bool,
     },
-    /// The worker sends. Recorders read.
+    /// The worker sends. Recorders read, and views if `views`.
     Recorders {
         /// Frames queued for a recorder.
         queued: usize,
         /// Frames that a reader which comes later receives.
         history: usize,
+        /// True if planners and views have places, as in [`Flow::Planners`].
+        views: bool,
     },
 }
 
@@ -211,13 +213,13 @@ channels! {
         }, Outlook, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
     /// The worker's journal: a second of it is queued at 30 Hz.
     Ticks: "ticks", TickHeader { order: worker_epoch, tick; sent: sent_ns; },
-        TakenFrame, Flow::Recorders { queued: 32, history: 0 }, FrameRows::Taken;
+        TakenFrame, Flow::Recorders { queued: 32, history: 0, views: false }, FrameRows::Taken;
     /// Keyframes, in pieces: a reader empties the queue at every tick.
     State: "state", StateHeader { order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
-        u8, Flow::Recorders { queued: 8, history: 0 }, FrameRows::Bytes;
+        u8, Flow::Recorders { queued: 8, history: 0, views: false }, FrameRows::Bytes;
     /// Records of questions and answers: a reader that comes later needs the newest counts.
     Queries: "queries", QueriesHeader { order: begun_ns, sent_ns; sent: sent_ns; },
-        u64, Flow::Recorders { queued: 6, history: 1 }, FrameRows::UpTo(MAX_RECORD_WORDS);
+        u64, Flow::Recorders { queued: 6, history: 1, views: true }, FrameRows::UpTo(MAX_RECORD_WORDS);
     /// All alarms that are acknowledged: a reader that comes later needs the newest at once.
     Acknowledgements: "acknowledgements", AcknowledgementHeader {
             order: server_epoch, number; sent: sent_ns, sent_unix_ns;

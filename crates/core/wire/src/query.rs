@@ -56,8 +56,8 @@ pub const MAX_QUERY_ROBOTS: usize = 64;
 pub const MAX_QUERY_CANDIDATES: usize = 256;
 /// Maximum number of steps of a followed path, with the return: an hour at 30 Hz.
 pub const MAX_QUERY_STEPS: usize = 108_000;
-/// Maximum number of words of a frame of records.
-pub const MAX_RECORD_WORDS: usize = 16_384;
+/// Maximum number of words of a frame of records: the longest one fits.
+pub const MAX_RECORD_WORDS: usize = 9_216;
 
 /// Kinds of questions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -436,6 +436,8 @@ rows! {
 
 /// Words of a [`QueryRecord`].
 const RECORD_HEAD_WORDS: usize = size_of::<QueryRecord>() / 8;
+const _: () =
+    assert!(RECORD_HEAD_WORDS + MAX_QUERY_VALUES + MAX_ANSWER_WORDS <= MAX_RECORD_WORDS);
 
 /// Appends a record to the payload of a frame. Its lengths are set. Returns whether it fits.
 pub fn push_record(

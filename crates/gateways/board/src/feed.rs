@@ -46,8 +46,8 @@ pub struct Reading {
     budgets: consumer::Feed<Budgets>,
     /// None while nobody wants them: the worker computes them only for readers.
     outlooks: Option<consumer::Feed<Outlooks>>,
+    queries: consumer::Feed<Queries>,
     /// None if there are too many readers.
-    queries: Option<consumer::Feed<Queries>>,
     acknowledgements: Option<consumer::Feed<Acknowledgements>>,
     tap: Option<Tap>,
     polls: bool,
@@ -87,7 +87,7 @@ impl Reading {
             diagnostics: planner.diagnostics()?,
             budgets: planner.budgets()?,
             outlooks: None,
-            queries: planner.queries().ok(),
+            queries: planner.queries()?,
             acknowledgements: planner.feed().ok(),
             tap: None,
             polls: false,
@@ -146,7 +146,7 @@ impl Reading {
             self.refusals_ns = now_ns + REFUSALS_EVERY_NS;
             board.refused(Refusals::read(&self.config), now_ns);
         }
-        if let Some(Ok(Some(frame))) = self.queries.as_mut().map(consumer::Feed::latest) {
+        if let Ok(Some(frame)) = self.queries.latest() {
             board.queries = Some(frame.header().counts);
         }
         if let Some(Ok(Some(frame))) = self.acknowledgements.as_mut().map(consumer::Feed::latest) {
