@@ -30,7 +30,7 @@ pub(crate) struct Job {
     pub(crate) state: State,
     /// Number of times that its computation restarted because the robots' state had become stale.
     pub(crate) renewals: u32,
-    /// When its acknowledgement was first entered, monotonic ns.
+    /// When its acknowledgement was first entered, or its statement passed on, monotonic ns.
     pub(crate) entered_ns: Option<u64>,
     watch: Option<PeerWatch>,
 }
@@ -105,7 +105,9 @@ impl Job {
     /// Reason that the question is not worth answering any more, if so.
     pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
         let limit_ns = self.taken_ns.saturating_add(MAX_AGE_NS);
-        if now_ns >= self.header.deadline_ns.min(limit_ns) {
+        // What the worker has got is not refused for its time.
+        let is_stated = self.entered_ns.is_some() && matches!(self.state, State::Stating(..));
+        if !is_stated && now_ns >= self.header.deadline_ns.min(limit_ns) {
             let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
             let text =
                 format!("not answered within the client's time, it waited for {waited_s:.3} s");

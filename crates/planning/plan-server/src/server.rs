@@ -18,7 +18,7 @@ use crate::fair::Fair;
 use crate::job::{Job, State};
 use crate::records::Records;
 
-/// Questions of one process that may wait.
+/// Questions and statements of one process that may wait.
 const MAX_OF_A_PROCESS: usize = 4;
 /// Times that an answer is begun again with newer rows, at most: ways are followed once, so that
 /// the first is enough unless the thread is hardly run.
@@ -104,6 +104,7 @@ impl Server {
         let clients = self.server.clients();
         self.take()?;
         self.acknowledge()?;
+        self.answer_stated(false)?;
         self.connect(clients)?;
         let (next, is_awaited) = self.next()?;
         match next {
@@ -138,6 +139,7 @@ impl Server {
     /// Refuses all questions, because the worker ends.
     pub(crate) fn end(&mut self) -> Result<(), ServerError> {
         let taken = self.take();
+        self.answer_stated(true)?;
         for job in std::mem::take(&mut self.jobs) {
             let text = "the worker ends: ask again when it has been started again".to_owned();
             self.refuse(job, &Refused::new(QueryRefusal::Ending, text))?;
@@ -157,17 +159,6 @@ impl Server {
             let of_process = self.jobs.iter().filter(|other| other.client == job.client);
             if let Err(refused) = checked {
                 self.refuse(job, &refused)?;
-            } else if let State::Stating(robot, statement, by) = &job.state {
-                let (robot, statement, by) = (*robot, *statement, by.clone());
-                // Who gave up has not stated it.
-                if let Some(refused) = job.is_over(clock::monotonic_ns()) {
-                    self.refuse(job, &refused)?;
-                    continue;
-                }
-                match self.state_battery(robot, statement, &by) {
-                    Ok(()) => self.answer(job, |_| Reply::default())?,
-                    Err(refused) => self.refuse(job, &refused)?,
-                }
             } else if job.is_new_normal() && self.statements.is_none() {
                 let text = "this host has no worker that takes a new normal: ask on the host that \
                             has one, or only acknowledge the alarm";
@@ -178,12 +169,40 @@ impl Server {
                     job.client
                 );
                 self.refuse(job, &Refused::new(QueryRefusal::Busy, text))?;
+            } else if let Err(refused) = self.state(&mut job) {
+                self.refuse(job, &refused)?;
             } else {
                 self.fair.enter(job.client);
                 self.jobs.push(job);
             }
         }
         Ok(())
+    }
+
+    /// Passes on what a job states of a battery, if it does.
+    fn state(&self, job: &mut Job) -> Result<(), Refused> {
+        let now_ns = clock::monotonic_ns();
+        let State::Stating(robot, statement, by) = &job.state else {
+            return Ok(());
+        };
+        let (robot, statement, by) = (*robot, *statement, by.clone());
+        // Who gave up has not stated it.
+        job.is_over(now_ns).map_or(Ok(()), Err)?;
+        self.state_battery(robot, statement, &by)?;
+        job.entered_ns = Some(now_ns);
+        Ok(())
+    }
+
+    /// Answers statements after a tick's period, when the worker has taken them. They count as
+    /// waiting until then, so that one process cannot take all places of [`crate::MAX_STATEMENTS`].
+    fn answer_stated(&mut self, is_last: bool) -> Result<(), ServerError> {
+        let before_ns = clock::monotonic_ns().saturating_sub(self.config.tick_period_ns());
+        let is_due = |job: &mut Job| {
+            matches!(job.state, State::Stating(..))
+                && (is_last || job.entered_ns.is_some_and(|entered_ns| entered_ns <= before_ns))
+        };
+        let stated: Vec<Job> = self.jobs.extract_if(.., is_due).collect();
+        stated.into_iter().try_for_each(|job| self.answer(job, |_| Reply::default()))
     }
 
     /// Follows the diagnostics, and acknowledges what is asked for, once they have arrived.
@@ -276,7 +295,7 @@ impl Server {
     /// the tick does not write them.
     fn connect(&mut self, clients: usize) -> Result<(), ServerError> {
         let now_ns = clock::monotonic_ns();
-        let is_plan = |job: &Job| job.acknowledgement().is_none();
+        let is_plan = |job: &Job| matches!(job.state, State::Waiting(_) | State::Working(_));
         if clients > 0 {
             self.asked_ns = now_ns;
             if self.planner.is_none() && self.jobs.iter().any(is_plan) {
