@@ -39,8 +39,10 @@ tools/install_c.sh --prefix "$work/first" --from "$from"
 # What is installed may be moved.
 mv "$work/first" "$work/prefix"
 prefix=$work/prefix
-export PKG_CONFIG_PATH=$prefix/lib/pkgconfig LD_LIBRARY_PATH=$prefix/lib
-readelf -d "$prefix/lib/libjoulebus.so" | grep -q 'SONAME.*libjoulebus\.so\.[0-9]*\.[0-9]*\.[0-9]*\]'
+# What pkg-config and CMake say is enough to run a program, too.
+unset LD_LIBRARY_PATH
+export PKG_CONFIG_PATH=$prefix/lib/pkgconfig
+readelf -d "$prefix/lib/libjoulebus.so" | grep -q 'SONAME.*libjoulebus\.so\.[0-9]*\.[0-9]*\]'
 # The functions of the header, with their version, and nothing else.
 declared=$(grep -o '\bjoulebus_[a-z_]*(' crates/languages/c/include/joulebus.h | tr -d '(' | sort -u)
 exported=$(nm -D --defined-only "$prefix/lib/libjoulebus.so" | awk '$2 == "T" { print $3 }' | sort)
@@ -82,9 +84,9 @@ if has pkg-config; then
     source=$!
     "$work/make/planner" "$work/fleet.toml" 30 | tail -1
     # shellcheck disable=SC2046
-    cc -std=gnu11 examples/c/planner.c $(pkg-config --cflags joulebus) "$prefix/lib/libjoulebus.a" \
-        $(pkg-config --static --libs-only-l joulebus | sed 's/-ljoulebus//') -o "$work/static"
-    LD_LIBRARY_PATH= "$work/static" "$work/fleet.toml" 30 | tail -1
+    cc -std=gnu11 examples/c/planner.c $(pkg-config --cflags --libs joulebus-static) -o "$work/static"
+    ! readelf -d "$work/static" | grep libjoulebus
+    "$work/static" "$work/fleet.toml" 30 | tail -1
 else
     skipped "no pkg-config"
     exit

@@ -23,8 +23,7 @@ if [ -z "$from" ]; then
 fi
 header=crates/languages/c/include/joulebus.h
 version=$(sed -n 's/^#define JOULEBUS_VERSION "\(.*\)"$/\1/p' $header)
-# Sources of releases before 1.0 fit each other by their second number. What is compiled needs its
-# very release.
+# Releases before 1.0 fit each other by their second number.
 series=${version%.*}
 # What Rust's standard library needs on Linux (`cargo rustc -p joulebus-c -- --print
 # native-static-libs`).
@@ -33,10 +32,14 @@ native="-lgcc_s -lutil -lrt -lpthread -lm -ldl -lc"
 install -d "$prefix"/{include,lib/pkgconfig,lib/cmake/joulebus}
 install -m 644 $header crates/languages/c/include/joulebus.hpp "$prefix/include"
 install -m 644 "$(ls -t "$from"/libjoulebus_c*.a | head -1)" "$prefix/lib/libjoulebus.a"
+# The loader looks in these folders anyway. Elsewhere a program states where its library is.
+case $prefix in /usr | */usr | /usr/local) rpath= ;; *) rpath='-Wl,-rpath,${libdir} ' ;; esac
 filled() {
-    sed -e "s|@VERSION@|$version|; s|@SERIES@|$series|; s|@NATIVE_LIBS@|$2|" "crates/languages/c/install/$1.in"
+    sed -e "s|@VERSION@|$version|; s|@SERIES@|$series|; s|@NATIVE_LIBS@|$2|; s|@RPATH@|$rpath|" "crates/languages/c/install/$1.in"
 }
-filled joulebus.pc "$native" >"$prefix/lib/pkgconfig/joulebus.pc"
+for package in joulebus joulebus-static; do
+    filled $package.pc "$native" >"$prefix/lib/pkgconfig/$package.pc"
+done
 filled joulebusConfig.cmake "${native// /;}" >"$prefix/lib/cmake/joulebus/joulebusConfig.cmake"
 filled joulebusConfigVersion.cmake "" >"$prefix/lib/cmake/joulebus/joulebusConfigVersion.cmake"
 
@@ -49,7 +52,9 @@ map=$(mktemp)
 trap 'rm -f "$map"' EXIT
 filled joulebus.map "" >"$map"
 # shellcheck disable=SC2086
-"${CC:-cc}" -shared -o "$prefix/lib/libjoulebus.so.$version" -Wl,-soname,"libjoulebus.so.$version" \
+"${CC:-cc}" -shared -o "$prefix/lib/libjoulebus.so.$version" -Wl,-soname,"libjoulebus.so.$series" \
     -Wl,--version-script,"$map" -Wl,--gc-sections -Wl,-z,relro,-z,now,-z,defs,-z,nodelete "${wanted[@]}" \
     "$prefix/lib/libjoulebus.a" $native
-ln -sf "libjoulebus.so.$version" "$prefix/lib/libjoulebus.so"
+# Programs name the series, whose releases fit each other, and so does the version of the functions.
+ln -sf "libjoulebus.so.$version" "$prefix/lib/libjoulebus.so.$series"
+ln -sf "libjoulebus.so.$series" "$prefix/lib/libjoulebus.so"

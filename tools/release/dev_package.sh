@@ -55,7 +55,7 @@ Description: energy broker for robot fleets: C and C++ library
  and files for pkg-config and CMake. Its release must be that of the programs.
 CONTROL
 echo 'activate-noawait ldconfig' >"$staged/DEBIAN/triggers"
-echo "libjoulebus $version libjoulebus-dev (= $version-1)" >"$staged/DEBIAN/shlibs"
+echo "libjoulebus ${version%.*} libjoulebus-dev (= $version-1)" >"$staged/DEBIAN/shlibs"
 (cd "$staged" && find usr -type f -printf '%P\0' | LC_ALL=C sort -z | sed -z 's,^,usr/,' | xargs -0 md5sum >DEBIAN/md5sums)
 find "$staged" -exec touch --no-dereference --date="@${SOURCE_DATE_EPOCH:-0}" {} +
 find "$staged" -type d -exec chmod 755 {} +
