@@ -117,8 +117,12 @@ impl Access {
     }
 
     /// The client that a request of `peer` comes from: behind a proxy that is named, the last
-    /// address in `X-Forwarded-For` that is no such proxy.
+    /// address in `X-Forwarded-For` that is no such proxy. Of IPv6 its network.
     pub(super) fn client(&self, peer: Peer, headers: &HeaderMap) -> Peer {
+        self.stated_client(peer, headers).network()
+    }
+
+    fn stated_client(&self, peer: Peer, headers: &HeaderMap) -> Peer {
         let is_proxy = |address: &IpAddr| self.proxies.contains(address);
         let Peer::Address(address) = peer else {
             return peer;
@@ -189,7 +193,7 @@ const BURST: f64 = 1_000.0;
 /// Requests of its address's own allowance that a refused request without the right token costs.
 const COST_OF_REFUSED: f64 = 10.0;
 /// Maximum number of remembered addresses and users. Those with a full allowance are forgotten
-/// first.
+/// first, and then the one with most left.
 const MAX_ADDRESSES: usize = 4_096;
 
 /// The remaining allowance of each address and user.
@@ -218,7 +222,10 @@ impl Rates {
             self.left.retain(|_, (left, since)| refilled(*left, *since) < BURST);
         }
         if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
-            return Err(too_many());
+            let left = self.left.iter().map(|(peer, (left, since))| (refilled(*left, *since), *peer));
+            if let Some((_, peer)) = left.max_by(|a, b| a.0.total_cmp(&b.0)) {
+                self.left.remove(&peer);
+            }
         }
         let (left, since) = self.left.entry(peer).or_insert((BURST, now));
         *left = refilled(*left, *since);
@@ -328,6 +335,8 @@ mod tests {
             ("127.0.0.1", "10.1.1.1, 10.0.0.9", "10.1.1.1"),
             ("127.0.0.1", "10.1.1.1, nobody", "127.0.0.1"),
             ("127.0.0.1", "::ffff:10.1.1.1", "10.1.1.1"),
+            ("127.0.0.1", "2001:db8:1:2:3:4:5:6", "2001:db8:1:2::"),
+            ("2001:db8:1:2:3:4:5:6", "", "2001:db8:1:2::"),
             ("127.0.0.1", "", "127.0.0.1"),
             ("10.1.1.2", "10.1.1.1", "10.1.1.2"),
         ] {
@@ -406,9 +415,8 @@ mod tests {
                 0 => Peer::Address(number.to_be_bytes().into()),
                 _ => Peer::User(number),
             };
-            let _ = rates.take(peer, false, now);
+            assert!(rates.take(peer, false, now).is_ok(), "{peer:?}");
             assert!(rates.left.len() <= MAX_ADDRESSES);
         }
-        assert!(rates.take(Peer::User(7), false, begin + Duration::from_secs(60)).is_ok());
     }
 }

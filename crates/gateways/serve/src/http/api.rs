@@ -6,7 +6,7 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::time::Duration;
 
 use axum::Router;
-use axum::body::{Body, Bytes};
+use axum::body::{Body, Bytes, HttpBody as _};
 use axum::extract::{Extension, Path, Request, State};
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
@@ -18,12 +18,12 @@ use joulebus_config::Config;
 use joulebus_wire::{AlarmCard, Outlook};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use tokio::sync::{Semaphore, oneshot, watch};
+use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
 
 use super::acknowledge::Acknowledge;
 use super::battery::StateBattery;
-use super::connections::{Connection, Receiving};
+use super::connections::{Connection, Connections, Receiving};
 use super::entry::Object;
 use super::error::{ApiError, json, typed};
 use super::listen::Peer;
@@ -32,9 +32,9 @@ use super::page;
 use super::plan_rows::RowsError;
 use super::questions::{Questions, report};
 use super::reader::Ask;
+use super::shares::{AllShares, Reply};
 use super::snapshot::Snapshot;
 use super::stream::Client;
-use super::stream_places::{StreamPlace, StreamPlaces};
 use super::view::View;
 use super::what_if::Asked;
 
@@ -58,10 +58,9 @@ pub(super) struct App {
     pub(super) metrics_robots: usize,
     /// Messages sent on streams.
     pub(super) messages: AtomicU64,
-    streams: Arc<StreamPlaces>,
+    pub(super) connections: Arc<Connections>,
+    pub(super) shares: AllShares,
     questions: Questions,
-    /// One statement of a person is passed on at a time.
-    acknowledges: Arc<Semaphore>,
 }
 
 impl App {
@@ -77,9 +76,9 @@ impl App {
             asks,
             metrics_robots,
             messages: AtomicU64::new(0),
-            streams: Arc::default(),
-            questions: Questions::new(),
-            acknowledges: Arc::new(Semaphore::new(1)),
+            connections: Arc::default(),
+            shares: AllShares::default(),
+            questions: Questions::default(),
         }
     }
 
@@ -87,13 +86,16 @@ impl App {
         Arc::clone(&self.snapshots.borrow())
     }
 
-    fn ask(&self, ask: Ask) -> Result<(), ApiError> {
-        self.asks.try_send(ask).map_err(|error| match error {
-            TrySendError::Full(_) => {
-                ApiError::busy("64 requests wait for the reading thread: ask again")
-            }
+    /// Asks the reading thread for a client, and waits for its answer.
+    async fn ask<T>(&self, peer: Peer, ask: impl FnOnce(Reply<T>) -> Ask) -> Result<T, ApiError> {
+        let (reply, answer) = Reply::new(self.shares.readings.take(peer, 1)?);
+        self.asks.try_send(ask(reply)).map_err(|error| match error {
+            TrySendError::Full(_) => ApiError::busy("too many requests wait: ask again"),
             TrySendError::Disconnected(_) => ApiError::busy("the server is ending"),
-        })
+        })?;
+        let answered = timeout(ANSWER_TIMEOUT, answer).await.ok().and_then(Result::ok);
+        let late = "the reading thread has not answered within 5 s: ask again";
+        answered.ok_or_else(|| ApiError::busy(late))
     }
 }
 
@@ -147,7 +149,11 @@ async fn ready(State(app): State<Arc<App>>) -> Answer {
     }
 }
 
-async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer {
+async fn metrics_text(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    headers: HeaderMap,
+) -> Answer {
     let accept =
         headers.get_all(header::ACCEPT).into_iter().filter_map(|value| value.to_str().ok());
     let Some(format) = metrics::TextFormat::accepted(accept) else {
@@ -158,7 +164,7 @@ async fn metrics_text(State(app): State<Arc<App>>, headers: HeaderMap) -> Answer
     // Without series of robots nothing needs to be computed for them.
     let outlooks = match app.metrics_robots {
         0 => Vec::new(),
-        _ => outlooks(&app, None).await.unwrap_or_default(),
+        _ => outlooks(&app, peer, None).await.unwrap_or_default(),
     };
     let limits = (app.config.fleet(), app.metrics_robots);
     let text = metrics::text(&app.newest(), outlooks, now_ns, limits, format);
@@ -175,23 +181,31 @@ async fn alarms(State(app): State<Arc<App>>) -> Response {
     json(&*app.newest().alarms)
 }
 
-async fn acknowledge(State(app): State<Arc<App>>, request: Request) -> Answer {
-    let asked: Acknowledge = body(request).await?;
-    pass_on(&app, move |config| asked.ask(config)).await
+async fn acknowledge(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+) -> Answer {
+    let asked: Acknowledge = body(&app, peer, request).await?;
+    pass_on(&app, peer, move |config| asked.ask(config)).await
 }
 
-async fn battery(State(app): State<Arc<App>>, request: Request) -> Answer {
-    let asked: StateBattery = body(request).await?;
-    pass_on(&app, move |config| asked.ask(config)).await
+async fn battery(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+) -> Answer {
+    let asked: StateBattery = body(&app, peer, request).await?;
+    pass_on(&app, peer, move |config| asked.ask(config)).await
 }
 
 /// Has the worker take a statement of a person.
 async fn pass_on<T: Serialize + Send + 'static>(
     app: &App,
+    peer: Peer,
     ask: impl FnOnce(&Config) -> Result<T, ApiError> + Send + 'static,
 ) -> Answer {
-    let turn = Arc::clone(&app.acknowledges).try_acquire_owned();
-    let turn = turn.map_err(|_| ApiError::busy("another statement is passed on: try again"))?;
+    let turn = app.shares.statements.enter(peer).await?;
     let config = app.config.clone();
     // Ports of the fleet belong to one thread.
     let asked = tokio::task::spawn_blocking(move || {
@@ -240,17 +254,23 @@ async fn robot(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
     Ok(json(&*found.ok_or_else(|| no_robot(robot))?))
 }
 
-async fn history(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
+async fn history(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    Path(id): Path<String>,
+) -> Answer {
     let robot = id_of(&id)?;
-    let (reply, answer) = oneshot::channel();
-    app.ask(Ask::History(robot, reply))?;
-    let record = within(answer).await?;
+    let record = app.ask(peer, |reply| Ask::History(robot, reply)).await?;
     Ok(json(&record.ok_or_else(|| no_robot(robot))?))
 }
 
-async fn outlook(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
+async fn outlook(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    Path(id): Path<String>,
+) -> Answer {
     let robot = id_of(&id)?;
-    let found = outlooks(&app, Some(robot)).await?;
+    let found = outlooks(&app, peer, Some(robot)).await?;
     let missing = || match app.newest().robot(robot) {
         Some(_) => ApiError::busy("no outlook of the worker within 1 s: ask again"),
         None => no_robot(robot),
@@ -259,17 +279,8 @@ async fn outlook(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer 
 }
 
 /// The outlooks of one robot, or of all. The worker computes them for some time from now on.
-async fn outlooks(app: &App, robot: Option<u32>) -> Result<Vec<Outlook>, ApiError> {
-    let (reply, answer) = oneshot::channel();
-    app.ask(Ask::Outlooks(robot, reply))?;
-    within(answer).await
-}
-
-/// Waits for the answer of the reading thread.
-async fn within<T>(answer: oneshot::Receiver<T>) -> Result<T, ApiError> {
-    let answered = timeout(ANSWER_TIMEOUT, answer).await.ok().and_then(Result::ok);
-    answered
-        .ok_or_else(|| ApiError::busy("the reading thread has not answered within 5 s: ask again"))
+async fn outlooks(app: &App, peer: Peer, robot: Option<u32>) -> Result<Vec<Outlook>, ApiError> {
+    app.ask(peer, |reply| Ask::Outlooks(robot, reply)).await
 }
 
 fn id_of(id: &str) -> Result<u32, ApiError> {
@@ -298,10 +309,13 @@ struct Flow {
     ticks: tokio::time::Interval,
     shown: Option<Arc<Snapshot>>,
     sent: Instant,
-    _place: StreamPlace,
 }
 
-async fn stream(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>, uri: Uri) -> Answer {
+async fn stream(
+    State(app): State<Arc<App>>,
+    Extension(connection): Extension<Arc<Connection>>,
+    uri: Uri,
+) -> Answer {
     let (mut view, mut robot, mut hz) = (View::default(), None, USUAL_HZ);
     for (name, value) in parameters(&uri) {
         match name.as_str() {
@@ -314,7 +328,7 @@ async fn stream(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>, u
             _ => return Err(unknown_parameter(&name)),
         }
     }
-    let place = app.streams.enter(peer)?;
+    app.connections.begin_stream(&connection)?;
     let now = Instant::now();
     let mut ticks = interval_at(now, Duration::from_secs_f64(1.0 / hz));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -324,7 +338,6 @@ async fn stream(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>, u
         ticks,
         shown: None,
         sent: now,
-        _place: place,
     };
     let messages = stream::unfold(flow, |mut flow| async move {
         let message = flow.message().await?;
@@ -356,13 +369,17 @@ impl Flow {
     }
 }
 
-async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
+async fn what_if(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    request: Request,
+) -> Answer {
     let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
-    let question = body::<Asked>(request).await?.question().map_err(wrong)?;
-    let permit = app.questions.permit(&app.config).await?;
-    let (reply, answer) = oneshot::channel();
-    app.ask(Ask::Rows(question.plan.robots().to_vec(), reply))?;
-    let rows = within(answer).await?.map_err(|error| match error {
+    let question = body::<Asked>(&app, peer, request).await?.question().map_err(wrong)?;
+    let turn = app.shares.questions.enter(peer).await?;
+    let turn = app.questions.load(turn, &app.config).await?;
+    let robots = question.plan.robots().to_vec();
+    let rows = app.ask(peer, |reply| Ask::Rows(robots, reply)).await?.map_err(|error| match error {
         RowsError::UnknownRobot(_) => ApiError::new(StatusCode::NOT_FOUND, error.to_string()),
         error => ApiError::busy(error.to_string()),
     })?;
@@ -371,18 +388,20 @@ async fn what_if(State(app): State<Arc<App>>, request: Request) -> Answer {
         _ => None,
     };
     let (stated, of) = ((question.coverage, simplified), rows.first().copied());
-    let reply = app.questions.answer(permit, question, rows).await?;
+    let reply = app.questions.answer(turn, question, rows).await?;
     Ok(json(&report(&app.config, stated, of.as_ref(), &reply)))
 }
 
 /// The body of a request, which is JSON.
-async fn body<T: DeserializeOwned>(request: Request) -> Result<T, ApiError> {
+async fn body<T: DeserializeOwned>(app: &App, peer: Peer, request: Request) -> Result<T, ApiError> {
     let kind = request.headers().get(header::CONTENT_TYPE);
     let is_json = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
     if !is_json {
         let text = "the body is JSON: send Content-Type: application/json";
         return Err(ApiError::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, text));
     }
+    let length = request.body().size_hint().upper().unwrap_or(u64::MAX).min(MAX_BODY_BYTES as u64);
+    let _share = app.shares.received.take(peer, length as usize)?;
     let connection = request.extensions().get::<Arc<Connection>>();
     let receiving = connection.map(Receiving::new);
     let body = axum::body::to_bytes(request.into_body(), MAX_BODY_BYTES);

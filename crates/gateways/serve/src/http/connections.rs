@@ -2,14 +2,15 @@
 //! closed for another.
 //!
 //! A connection without a request is idle, and so is one whose request's body still arrives. If all
-//! slots are taken, the oldest connection that is idle is closed for the new one. Idle
-//! connections therefore keep nobody out, and only streams and requests in progress keep their
-//! slots. Beside these there is a reserve, where only `/healthz` and `/readyz` are answered.
+//! slots are taken, the client with most gives one to a client with fewer: the oldest that is idle,
+//! or else the newest with a request or stream. Nobody gives one to a client that has more. Beside
+//! these there is a reserve, where only `/healthz` and `/readyz` are answered.
 
-use std::collections::BTreeMap;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, HashMap};
 use std::io;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
@@ -20,28 +21,52 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::sync::Notify;
 use tokio::time::{Instant, Sleep, sleep};
 
-/// Maximum number of connections of clients.
-pub(super) const MAX_CONNECTIONS: usize = 256;
-/// Connections beside these, for supervisors of processes.
-const RESERVED: usize = 16;
+use super::error::ApiError;
+use super::listen::Peer;
+use super::shares::{CONNECTIONS, Limit, RESERVED, STREAMS, Share};
+
 /// Within `WRITE_TIMEOUT` a client must take this many bytes of the queued ones, or all of them.
 /// Otherwise it is disconnected.
 const WRITE_BYTES: u64 = 64 << 10;
 const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Connection {
+    /// Whose it is: behind a proxy the client of the last request.
+    client: Mutex<Peer>,
     /// Requests being answered, streams included.
     busy: AtomicUsize,
+    is_stream: AtomicBool,
     close: Notify,
     /// True if all slots were busy: only requests for the health are answered.
     pub(super) is_reserved: bool,
 }
 
 impl Connection {
+    fn new(client: Peer, is_reserved: bool) -> Self {
+        let (busy, is_stream) = (AtomicUsize::new(0), AtomicBool::new(false));
+        Self { client: Mutex::new(client), busy, is_stream, close: Notify::new(), is_reserved }
+    }
+
     /// Waits until the connection has to close.
     pub(super) async fn closed(&self) {
         self.close.notified().await;
+    }
+
+    pub(super) fn set_client(&self, client: Peer) {
+        *self.client.lock().unwrap_or_else(PoisonError::into_inner) = client;
+    }
+
+    fn client(&self) -> Peer {
+        *self.client.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn is_idle(&self) -> bool {
+        self.busy.load(Ordering::Relaxed) == 0
+    }
+
+    fn is_stream(&self) -> bool {
+        self.is_stream.load(Ordering::Relaxed)
     }
 }
 
@@ -59,19 +84,31 @@ struct Open {
     reserved: BTreeMap<u64, Arc<Connection>>,
 }
 
-/// Closes the oldest of those that may be closed, if all `slots` are taken. Returns whether there
-/// is a slot then.
+/// Makes room for one more of `client` among the connections that count for `limit`. A client that
+/// has `ahead` more than it has gives way also where it is not idle. Returns whether there is room.
 fn make_room(
     connections: &mut BTreeMap<u64, Arc<Connection>>,
-    slots: usize,
-    may_close: impl Fn(&Connection) -> bool,
+    limit: &Limit,
+    client: Peer,
+    ahead: usize,
+    counts: impl Fn(&Connection) -> bool,
 ) -> bool {
-    if connections.len() < slots {
+    let counted: Vec<_> =
+        connections.iter().filter(|(_, open)| counts(open)).map(|(n, open)| (*n, open)).collect();
+    if counted.len() < limit.all {
         return true;
     }
-    let mut open = connections.iter();
-    let oldest = open.find(|(_, connection)| may_close(connection));
-    let Some(number) = oldest.map(|(number, _)| *number) else {
+    let mut of: HashMap<Peer, usize> = HashMap::new();
+    for (_, open) in &counted {
+        *of.entry(open.client()).or_default() += 1;
+    }
+    let own = of.get(&client).copied().unwrap_or(0);
+    let having = |open: &Connection| of[&open.client()];
+    let idle = counted.iter().filter(|(_, open)| open.is_idle() && having(open) >= own);
+    let idle = idle.max_by_key(|(number, open)| (having(open), Reverse(*number)));
+    let busy = counted.iter().filter(|(_, open)| having(open) >= own + ahead);
+    let busy = || busy.max_by_key(|(number, open)| (having(open), *number));
+    let Some(number) = idle.or_else(busy).map(|(number, _)| *number) else {
         return false;
     };
     // The closed connection's own slot is no longer in the map, so its later release does nothing.
@@ -90,26 +127,40 @@ pub(super) struct Slot {
 }
 
 impl Connections {
-    /// Takes a slot for a connection, from the reserve if requests in progress take all others.
-    pub(super) fn enter(self: &Arc<Self>) -> Slot {
+    /// Takes a slot for a connection, from the reserve if clients with no more keep all others busy.
+    pub(super) fn enter(self: &Arc<Self>, client: Peer) -> Slot {
         let mut open = self.lock();
-        let is_idle = |connection: &Connection| connection.busy.load(Ordering::Relaxed) == 0;
-        let is_reserved = !make_room(&mut open.usual, MAX_CONNECTIONS, is_idle);
+        let is_reserved = !make_room(&mut open.usual, &CONNECTIONS, client, 2, |_| true);
         if is_reserved {
-            // Clients that have not asked go first. A client that waits for an answer gets it at
-            // once.
-            let _ = make_room(&mut open.reserved, RESERVED, is_idle)
-                || make_room(&mut open.reserved, RESERVED, |_| true);
+            // A client that waits for an answer gets it at once.
+            let _ = make_room(&mut open.reserved, &RESERVED, client, 0, |_| true);
         }
         open.number += 1;
         let number = open.number;
-        let connection = Arc::new(Connection { is_reserved, ..Connection::default() });
+        let connection = Arc::new(Connection::new(client, is_reserved));
         let slots = match is_reserved {
             true => &mut open.reserved,
             false => &mut open.usual,
         };
         slots.insert(number, Arc::clone(&connection));
         Slot { connections: Arc::clone(self), number, connection }
+    }
+
+    /// Makes a connection one with a stream, until it closes.
+    ///
+    /// # Errors
+    /// All streams are taken, and no client has more than this one would have.
+    pub(super) fn begin_stream(&self, connection: &Connection) -> Result<(), ApiError> {
+        let (mut open, client) = (self.lock(), connection.client());
+        if !make_room(&mut open.usual, &STREAMS, client, 2, Connection::is_stream) {
+            let text = format!(
+                "{} streams are open, and no client has more than yours: close one, or ask later",
+                STREAMS.all
+            );
+            return Err(ApiError::busy(text));
+        }
+        connection.is_stream.store(true, Ordering::Relaxed);
+        Ok(())
     }
 
     fn lock(&self) -> MutexGuard<'_, Open> {
@@ -160,16 +211,29 @@ impl Drop for Receiving {
     }
 }
 
-/// A response body. Its connection is busy until the body has been sent or dropped.
+/// A response body. Its connection is busy, and its bytes count for the client, until it has been
+/// sent or dropped.
 #[derive(Debug)]
 pub(super) struct Marked {
     body: Body,
-    _busy: Busy,
+    held: Arc<(Busy, Option<Share>)>,
 }
 
 impl Marked {
-    pub(super) const fn new(body: Body, busy: Busy) -> Self {
-        Self { body, _busy: busy }
+    pub(super) fn new(body: Body, busy: Busy, share: Option<Share>) -> Self {
+        Self { body, held: Arc::new((busy, share)) }
+    }
+}
+
+/// Bytes that wait to be sent.
+struct Unsent {
+    bytes: Bytes,
+    _held: Arc<(Busy, Option<Share>)>,
+}
+
+impl AsRef<[u8]> for Unsent {
+    fn as_ref(&self) -> &[u8] {
+        &self.bytes
     }
 }
 
@@ -181,7 +245,11 @@ impl HttpBody for Marked {
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
     ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        Pin::new(&mut self.body).poll_frame(cx)
+        let held = Arc::clone(&self.held);
+        let owned = |bytes| Bytes::from_owner(Unsent { bytes, _held: held });
+        Pin::new(&mut self.body)
+            .poll_frame(cx)
+            .map(|frame| frame.map(|frame| frame.map(|frame| frame.map_data(owned))))
     }
 
     fn is_end_stream(&self) -> bool {
@@ -291,8 +359,8 @@ mod tests {
     #[test]
     fn the_longest_idle_connection_gives_way_and_busy_ones_leave_the_reserve() {
         let connections = Arc::new(Connections::default());
-        let enter = || connections.enter();
-        let mut slots: Vec<Slot> = (0..MAX_CONNECTIONS).map(|_| enter()).collect();
+        let enter = || connections.enter(Peer::User(0));
+        let mut slots: Vec<Slot> = (0..CONNECTIONS.all).map(|_| enter()).collect();
         let busy = slots.iter().skip(2);
         let mut busy: Vec<Busy> = busy.map(|slot| Busy::new(&slot.connection)).collect();
         let (first, second) = (enter(), enter());
@@ -304,21 +372,63 @@ mod tests {
         // has not asked gives way first.
         let asked = enter();
         let asking = Busy::new(&asked.connection);
-        let last: Vec<Slot> = (0..3 * RESERVED).map(|_| enter()).collect();
+        let last: Vec<Slot> = (0..3 * RESERVED.all).map(|_| enter()).collect();
         assert!(last.iter().all(|slot| slot.connection.is_reserved));
         let reserved = |slot: &Slot| connections.lock().reserved.contains_key(&slot.number);
         assert!(reserved(&asked) && reserved(&last[last.len() - 1]) && !reserved(&last[0]));
-        assert_eq!(connections.lock().reserved.len(), RESERVED);
+        assert_eq!(connections.lock().reserved.len(), RESERVED.all);
         drop((asking, asked));
         // A body that drips keeps nobody out.
         let dripping = Receiving::new(&slots[7].connection);
         let usual = enter();
         assert!(!usual.connection.is_reserved && !is_open(&slots[7]));
         drop(dripping);
-        drop((busy, last));
+        // Another client takes the place of the newest, and keeps it while it has fewer.
+        busy.push(Busy::new(&usual.connection));
+        let other = connections.enter(Peer::User(1));
+        busy.push(Busy::new(&other.connection));
+        assert!(!other.connection.is_reserved && !is_open(&usual));
+        let more: Vec<Slot> = (0..50).map(|_| enter()).collect();
+        assert!(is_open(&other) && more.iter().all(|slot| slot.connection.is_reserved));
+        // Until the two have the same.
+        let others: Vec<Slot> = (1..200)
+            .map(|_| {
+                let slot = connections.enter(Peer::User(1));
+                busy.push(Busy::new(&slot.connection));
+                slot
+            })
+            .collect();
+        let opened = others.iter().filter(|slot| is_open(slot)).count();
+        assert_eq!(opened, CONNECTIONS.all / 2 - 1);
+        drop((busy, last, more, other, others));
         // Dropping a closed connection releases no other connection's slot.
+        let left = connections.lock().usual.len();
         slots.clear();
-        assert_eq!(connections.lock().usual.len(), 3);
+        assert!(left > connections.lock().usual.len());
+        drop((first, second, usual));
+        assert_eq!(connections.lock().usual.len(), 0);
+    }
+
+    #[test]
+    fn the_client_with_most_streams_gives_one_to_a_client_with_fewer() {
+        let connections = Arc::new(Connections::default());
+        let stream = |user| {
+            let slot = connections.enter(Peer::User(user));
+            let busy = Busy::new(&slot.connection);
+            connections.begin_stream(&slot.connection).ok().map(|()| (slot, busy))
+        };
+        let all: Vec<_> = (0..STREAMS.all + 9).filter_map(|_| stream(0)).collect();
+        assert_eq!(all.len(), STREAMS.all);
+        let others = 0..2 * STREAMS.all as u32;
+        let others: Vec<_> = others.filter_map(|number| stream(1 + number % 3)).collect();
+        let open = connections.lock();
+        let of = |user| {
+            let own = |open: &&Arc<Connection>| open.client() == Peer::User(user) && open.is_stream();
+            open.usual.values().filter(own).count()
+        };
+        assert_eq!([0, 1, 2, 3].map(of), [STREAMS.all / 4; 4]);
+        drop(open);
+        drop((all, others));
     }
 
     #[test]

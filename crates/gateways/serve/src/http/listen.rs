@@ -2,7 +2,7 @@
 
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Read, Write as _};
-use std::net::{IpAddr, SocketAddr, TcpListener};
+use std::net::{IpAddr, Ipv6Addr, SocketAddr, TcpListener};
 use std::os::fd::OwnedFd;
 use std::os::unix::fs::{
     FileTypeExt as _, MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _,
@@ -31,6 +31,18 @@ pub(super) enum Peer {
     Address(IpAddr),
     /// A user of this host, by the Unix socket.
     User(u32),
+}
+
+impl Peer {
+    /// As which it has a share: a host has all addresses of an IPv6 network of 64 bits.
+    pub(super) fn network(self) -> Self {
+        match self {
+            Self::Address(IpAddr::V6(address)) => {
+                Self::Address(Ipv6Addr::from_bits(address.to_bits() >> 64 << 64).into())
+            }
+            peer => peer,
+        }
+    }
 }
 
 /// The open listening sockets.

@@ -22,9 +22,9 @@ mod page;
 mod plan_rows;
 mod questions;
 mod reader;
+mod shares;
 mod snapshot;
 mod stream;
-mod stream_places;
 mod totals;
 mod view;
 mod what_if;
@@ -40,7 +40,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use axum::Router;
-use axum::body::Body;
+use axum::body::{Body, HttpBody as _};
 use axum::http::{HeaderValue, Request, StatusCode, header};
 use axum::response::{IntoResponse as _, Response};
 use hyper::body::Incoming;
@@ -59,11 +59,12 @@ use tokio::sync::{Notify, watch};
 
 use access::{Access, Rates, Token, cookie_name, is_of_health};
 use api::App;
-use connections::{Busy, Connection, Connections, Marked, Slot, Watched};
+use connections::{Busy, Connection, Marked, Slot, Watched};
 use error::ApiError;
 use fleet::Recorder;
 use listen::{Listeners, Peer, SocketFile};
 use reader::Reader;
+use shares::Share;
 
 /// Timeout of a request's head, and of the pause before the next request on a connection.
 const HEAD_TIMEOUT: Duration = Duration::from_secs(5);
@@ -74,6 +75,8 @@ const MAX_HEADERS: usize = 64;
 const SEND_BUFFER_BYTES: usize = 64 << 10;
 /// Maximum number of unsent bytes of a connection. Beyond it no further message is made.
 const MAX_KEPT_BYTES: usize = 64 << 10;
+/// Answers of up to this length do not count among the unsent bytes of a client.
+const MAX_SMALL_BYTES: usize = 4 << 10;
 /// Nice value of the thread that answers clients, and of those that compute for them.
 const NICE: u8 = 10;
 /// Interval of looking for recorders.
@@ -122,7 +125,6 @@ struct Shared {
     router: Router,
     access: Access,
     rates: Mutex<Rates>,
-    connections: Arc<Connections>,
     requests: AtomicU64,
     refused: AtomicU64,
     end: Notify,
@@ -166,7 +168,6 @@ impl HttpServer {
                 proxies: options.proxy.iter().map(IpAddr::to_canonical).collect(),
             },
             rates: Mutex::default(),
-            connections: Arc::default(),
             requests: AtomicU64::new(0),
             refused: AtomicU64::new(0),
             end: Notify::new(),
@@ -176,8 +177,8 @@ impl HttpServer {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .thread_name("joulebus-compute")
-            // A question about a plan, and meanwhile the recorders.
-            .max_blocking_threads(2)
+            // A question about a plan, a statement of a person, and meanwhile the recorders.
+            .max_blocking_threads(3)
             .build()
             .context("cannot start the server's runtime")?;
         let web = thread::Builder::new().name("joulebus-http".to_owned()).spawn(move || {
@@ -284,7 +285,7 @@ where
     loop {
         match next().await {
             Ok((stream, peer)) => {
-                let slot = shared.connections.enter();
+                let slot = shared.app.connections.enter(peer.network());
                 drop(tokio::spawn(serve(stream, peer, slot, Arc::clone(shared))));
             }
             Err(error) => {
@@ -332,6 +333,7 @@ async fn respond(
     shared.requests.fetch_add(1, Ordering::Relaxed);
     let is_page = request.uri().path() == "/";
     let peer = shared.access.client(peer, request.headers());
+    connection.set_client(peer);
     let checked = match connection.is_reserved && !is_of_health(request.uri()) {
         true => Err(ApiError::busy("all connections are taken: try again")),
         false => shared.check(&request, peer),
@@ -357,12 +359,18 @@ async fn respond(
             }
         }
     };
+    let bytes = response.body().size_hint().exact().unwrap_or(0) as usize;
+    let share = (bytes > MAX_SMALL_BYTES).then(|| shared.app.shares.unsent.take(peer, bytes)).transpose();
+    let share = share.unwrap_or_else(|refused| {
+        response = refused.into_response();
+        None
+    });
     if closes {
         // The next request may find a slot where all is answered.
         let close = HeaderValue::from_static("close");
         response.headers_mut().insert(header::CONNECTION, close);
     }
-    finish(response, busy)
+    finish(response, busy, share)
 }
 
 impl Shared {
@@ -396,7 +404,7 @@ impl Shared {
 }
 
 /// Adds the headers of every response, and marks the connection busy until the body has been sent.
-fn finish(response: Response, busy: Busy) -> Response {
+fn finish(response: Response, busy: Busy, share: Option<Share>) -> Response {
     let (mut parts, body) = response.into_parts();
     for (name, value) in [
         (
@@ -410,7 +418,7 @@ fn finish(response: Response, busy: Busy) -> Response {
     }
     let cache = parts.headers.entry(header::CACHE_CONTROL);
     cache.or_insert(HeaderValue::from_static("no-store"));
-    let body = Marked::new(body, busy);
+    let body = Marked::new(body, busy, share);
     Response::from_parts(parts, Body::new(body))
 }
 

@@ -2,7 +2,8 @@
 
 use joulebus_board::{Board, Reading};
 use joulebus_wire::Outlook;
-use tokio::sync::oneshot;
+
+use super::shares::Reply;
 
 /// The newest outlooks must arrive within this time, ns.
 const PATIENCE_NS: u64 = 1_000_000_000;
@@ -10,18 +11,16 @@ const PATIENCE_NS: u64 = 1_000_000_000;
 /// of most scrapers.
 const LEAVE_AFTER_NS: u64 = 90_000_000_000;
 
-/// Takes the outlooks: an empty list if they do not arrive.
-pub(super) type Reply = oneshot::Sender<Vec<Outlook>>;
-
 #[derive(Default)]
 pub(super) struct OutlookRequests {
-    waiting: Vec<(Option<u32>, Reply, u64)>,
+    waiting: Vec<(Option<u32>, Reply<Vec<Outlook>>, u64)>,
     wanted_until_ns: u64,
 }
 
 impl OutlookRequests {
-    /// One robot's, or those of all robots that are there. The next request finds them.
-    pub(super) fn ask(&mut self, robot: Option<u32>, reply: Reply, now_ns: u64) {
+    /// One robot's, or those of all robots that are there, which the next request finds. An empty
+    /// list if they do not arrive.
+    pub(super) fn ask(&mut self, robot: Option<u32>, reply: Reply<Vec<Outlook>>, now_ns: u64) {
         self.wanted_until_ns = now_ns + LEAVE_AFTER_NS;
         self.waiting.push((robot, reply, now_ns + PATIENCE_NS));
     }
@@ -39,6 +38,7 @@ impl OutlookRequests {
             tracing::debug!(%error, "outlooks cannot be read");
         }
         let outlooks = &board.outlooks;
+        self.waiting.retain(|(_, reply, _)| reply.is_wanted());
         for (robot, reply, until_ns) in std::mem::take(&mut self.waiting) {
             if outlooks.is_empty() && robot.is_some() && now_ns < until_ns {
                 self.waiting.push((robot, reply, until_ns));
@@ -48,8 +48,7 @@ impl OutlookRequests {
                 Some(robot) => outlooks.get(&robot).copied().into_iter().collect(),
                 None => outlooks.values().copied().collect(),
             };
-            // A client that has left does not wait for its answer.
-            let _ = reply.send(found);
+            reply.send(found);
         }
     }
 }

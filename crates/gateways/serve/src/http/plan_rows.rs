@@ -3,7 +3,8 @@
 use joulebus_bus::clock;
 use joulebus_consumer::{Budgets, ConnectError, Feed, PlanStates, Subscriber};
 use joulebus_plan::RobotRows;
-use tokio::sync::oneshot;
+
+use super::shares;
 
 /// A frame must arrive within this time, ns.
 const PATIENCE_NS: u64 = 3_000_000_000;
@@ -24,7 +25,7 @@ pub(super) enum RowsError {
     Open(String),
 }
 
-type Reply = oneshot::Sender<Result<Vec<RobotRows>, RowsError>>;
+type Reply = shares::Reply<Result<Vec<RobotRows>, RowsError>>;
 
 struct Waiting {
     robots: Vec<u32>,
@@ -58,6 +59,7 @@ impl PlanRows {
 
     /// Answers what can be answered.
     pub(super) fn poll(&mut self, planner: &Subscriber, now_ns: u64) {
+        self.waiting.retain(|waiting| waiting.reply.is_wanted());
         if self.waiting.is_empty() {
             if now_ns.saturating_sub(self.asked_ns) > LEAVE_AFTER_NS {
                 self.feeds = None;
@@ -80,14 +82,13 @@ impl PlanRows {
                 }
                 found => found.unwrap_or(Err(RowsError::Late)),
             };
-            // A client that has left does not wait for its answer.
-            let _ = waiting.reply.send(answer);
+            waiting.reply.send(answer);
         }
     }
 
     fn refuse(&mut self, error: &ConnectError) {
         for waiting in self.waiting.drain(..) {
-            let _ = waiting.reply.send(Err(RowsError::Open(error.to_string())));
+            waiting.reply.send(Err(RowsError::Open(error.to_string())));
         }
     }
 }

@@ -1,6 +1,6 @@
-//! The queue of questions about plans: a few wait, and one is computed on a thread of its own.
+//! Questions about plans: one is computed at a time, on a thread of its own.
 //!
-//! A client that hangs up leaves the queue at once. A computation keeps its slot until it ends,
+//! A client that hangs up leaves the queue at once. A computation keeps its turn until it ends,
 //! which is after the current robot. Clients that ask and hang up therefore queue nothing.
 
 use std::sync::{Arc, OnceLock};
@@ -12,99 +12,71 @@ use joulebus_models::load_models;
 use joulebus_plan::answering::Work;
 use joulebus_plan::report::{AnswerReport, AnswersReport};
 use joulebus_plan::{Fleet, Question, Reply, RobotRows, Simplified};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot};
+use tokio::sync::oneshot;
 
 use super::error::ApiError;
+use super::shares::Turn;
 use super::what_if::MAX_PATH_STEPS;
 
-/// Questions that may be computed or wait.
-const MAX_QUESTIONS: usize = 4;
 /// Timeout of a computation. It ends after the robot that exceeds the time.
 const COMPUTE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The queue of questions, and what they are computed with.
-#[derive(Debug)]
+/// What questions are computed with.
+#[derive(Debug, Default)]
 pub(super) struct Questions {
-    places: Arc<Semaphore>,
-    permit: Arc<Semaphore>,
     /// Settings and models, loaded at the first question.
     plans: Arc<OnceLock<Fleet>>,
 }
 
-/// The right to compute. One question has it at a time, whether or not its client still waits.
-#[derive(Debug)]
-pub(super) struct Permit {
-    _place: OwnedSemaphorePermit,
-    _permit: OwnedSemaphorePermit,
-}
-
 impl Questions {
-    pub(super) fn new() -> Self {
-        Self {
-            places: Arc::new(Semaphore::new(MAX_QUESTIONS)),
-            permit: Arc::new(Semaphore::new(1)),
-            plans: Arc::default(),
-        }
-    }
-
-    /// Waits for the right to compute, in the order of the questions. Loads the models at first
-    /// use.
+    /// Loads the models at first use.
     ///
     /// # Errors
-    /// The queue is full, or the models cannot be loaded.
-    pub(super) async fn permit(&self, config: &Config) -> Result<Permit, ApiError> {
-        let place = Arc::clone(&self.places).try_acquire_owned();
-        let place = place.map_err(|_| {
-            ApiError::busy(format!("{MAX_QUESTIONS} questions are being answered: ask again"))
-        })?;
-        let permit = Arc::clone(&self.permit).acquire_owned().await;
-        let permit = Permit {
-            _place: place,
-            _permit: permit.map_err(|_| ApiError::busy("the server is ending"))?,
-        };
+    /// The models cannot be loaded.
+    pub(super) async fn load(&self, turn: Turn, config: &Config) -> Result<Turn, ApiError> {
         if self.plans.get().is_some() {
-            return Ok(permit);
+            return Ok(turn);
         }
         let (config, plans) = (config.clone(), Arc::clone(&self.plans));
-        blocking(permit, move |_| {
+        blocking(turn, move |_| {
             let failed =
                 |error| ApiError::busy(format!("the config's models cannot be loaded: {error}"));
             let models = load_models(&config).map_err(failed)?;
-            // Only this task has the right to compute, so no other sets it.
+            // Only this task has its turn, so no other sets it.
             let _ = plans.set(Fleet::new(config.settings(), &models));
             Ok(())
         })
         .await
-        .map(|(permit, ())| permit)
+        .map(|(turn, ())| turn)
     }
 
     /// Answers a question.
     pub(super) async fn answer(
         &self,
-        permit: Permit,
+        turn: Turn,
         question: Question,
         rows: Vec<RobotRows>,
     ) -> Result<Reply, ApiError> {
         let plans = Arc::clone(&self.plans);
-        let computed = blocking(permit, move |is_gone| {
+        let computed = blocking(turn, move |is_gone| {
             let plans = plans.get().ok_or_else(|| ApiError::busy("the models are not loaded"))?;
             compute(plans, question, &rows, is_gone)
         });
-        computed.await.map(|(_permit, reply)| reply)
+        computed.await.map(|(_turn, reply)| reply)
     }
 }
 
-/// Runs `work` on a blocking thread, which keeps the right to compute until it has ended. `work`
-/// can ask whether its client is gone.
+/// Runs `work` on a blocking thread, which keeps the turn until it has ended. `work` can ask whether
+/// its client is gone.
 async fn blocking<T: Send + 'static>(
-    permit: Permit,
+    turn: Turn,
     work: impl FnOnce(&dyn Fn() -> bool) -> Result<T, ApiError> + Send + 'static,
-) -> Result<(Permit, T), ApiError> {
+) -> Result<(Turn, T), ApiError> {
     let (reply, answer) = oneshot::channel();
     drop(tokio::task::spawn_blocking(move || {
         let done = work(&|| reply.is_closed());
-        // If the client is gone, this drops the right to compute.
-        let _ = reply.send(done.map(|value| (permit, value)));
+        // If the client is gone, this ends its turn.
+        let _ = reply.send(done.map(|value| (turn, value)));
     }));
     let defect = |_| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, "a defect");
     answer.await.map_err(defect)?

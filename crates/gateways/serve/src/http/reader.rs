@@ -17,13 +17,15 @@ use joulebus_consumer::{AlarmFeed, ReadError, SourceAlarms};
 use joulebus_models::load_models;
 use joulebus_plan::RobotRows;
 use joulebus_program::model_range;
-use tokio::sync::{oneshot, watch};
+use joulebus_wire::Outlook;
+use tokio::sync::watch;
 
 use super::alarms::AlarmLog;
 use super::fleet::{Around, Distributions, FleetRecord, Recorder};
 use super::history::{self, History, HistoryRecord};
-use super::outlooks::{self, OutlookRequests};
+use super::outlooks::OutlookRequests;
 use super::plan_rows::{PlanRows, RowsError};
+use super::shares::{READINGS, Reply};
 use super::snapshot::Snapshot;
 use super::totals::Accumulator;
 
@@ -39,16 +41,14 @@ const DISTRIBUTE_EVERY_NS: u64 = 500_000_000;
 /// Nice value of the thread: ahead of the clients' thread, behind the programs that robots wait
 /// for.
 const NICE: u8 = 5;
-/// Questions to this thread that may wait.
-const MAX_QUEUED: usize = 64;
 
 /// A client's request to the thread.
 #[derive(Debug)]
 pub(super) enum Ask {
-    History(u32, oneshot::Sender<Option<HistoryRecord>>),
-    Rows(Vec<u32>, oneshot::Sender<Result<Vec<RobotRows>, RowsError>>),
+    History(u32, Reply<Option<HistoryRecord>>),
+    Rows(Vec<u32>, Reply<Result<Vec<RobotRows>, RowsError>>),
     /// One robot's, or all robots'.
-    Outlooks(Option<u32>, outlooks::Reply),
+    Outlooks(Option<u32>, Reply<Vec<Outlook>>),
 }
 
 /// Reason that the thread ended.
@@ -73,7 +73,7 @@ pub(super) struct Reader {
 impl Reader {
     /// Joins the fleet and starts to read.
     pub(super) fn start(config: &Config) -> Result<Self, ReaderError> {
-        let (asks, asked) = sync_channel(MAX_QUEUED);
+        let (asks, asked) = sync_channel(READINGS.all);
         let (recorders, found) = watch::channel(None);
         let config = config.clone();
         let (thread, snapshots) = Background::repeat("joulebus-reader", move || {
@@ -211,10 +211,9 @@ impl Work {
     }
 
     fn answer(&mut self, now_ns: u64) {
-        for ask in self.asked.try_iter().take(MAX_QUEUED) {
+        for ask in self.asked.try_iter().take(READINGS.all) {
             match ask {
-                // A client that has left does not wait for its answer.
-                Ask::History(robot, reply) => drop(reply.send(self.history.of(robot))),
+                Ask::History(robot, reply) => reply.send(self.history.of(robot)),
                 Ask::Rows(robots, reply) => self.plan_rows.ask(robots, reply, now_ns),
                 Ask::Outlooks(robot, reply) => self.outlooks.ask(robot, reply, now_ns),
             }

@@ -48,7 +48,10 @@ pub(crate) fn dial_from(from: Ipv4Addr, address: &str) -> TcpStream {
 
 /// Sends a request whose head ends the connection after it.
 pub(crate) fn send(address: &str, head: &str, body: &[u8]) -> Response {
-    let mut stream = dial(address);
+    send_on(dial(address), head, body)
+}
+
+pub(crate) fn send_on(mut stream: TcpStream, head: &str, body: &[u8]) -> Response {
     let length = body.len();
     let head = format!("{head}\r\nConnection: close\r\nContent-Length: {length}\r\n\r\n");
     stream.write_all(head.as_bytes()).unwrap();
