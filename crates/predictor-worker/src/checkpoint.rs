@@ -36,8 +36,8 @@ pub(crate) struct Checkpoint {
     /// Errors of the energy of each platform, in the order of the config. None before version 4.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub errors: Vec<ModelErrors>,
-    /// Capacities that were learned of a robot's batteries, the last of each month in which one was,
-    /// the oldest first. None before version 7.
+    /// Capacities that were learned of a robot's batteries, the last of each month in which one
+    /// was, the oldest first. None before version 7.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub capacities: BTreeMap<u32, Vec<LearnedCapacity>>,
 }

@@ -36,8 +36,8 @@ const KNOWN: [u32; 6] = [NEWEST, PAUSES, MEANS, LOST, PLAIN, BEFORE];
 /// Maximum size of a file: the accounts of two million robots take about half of it.
 const MAX_BYTES: u64 = 1 << 30;
 
-/// The capacities that were learned of each robot's batteries, as a worker of this user has saved them.
-/// Empty if there is no ledger that can be read.
+/// The capacities that were learned of each robot's batteries, as a worker of this user has saved
+/// them. Empty if there is no ledger that can be read.
 #[must_use]
 pub fn learned_capacities(config: &Config) -> BTreeMap<u32, Vec<LearnedCapacity>> {
     let saved = state_directory::ledger_path(config).map(|path| read(&path, config.fleet()));

@@ -42,10 +42,10 @@ impl Capacity {
         (self.weight > 0.0).then_some(self.value)
     }
 
-    /// True if it can have been learned where this was the stated capacity.
+    /// True if it can have been learned where this was the stated capacity, up to rounding.
     #[must_use]
     pub fn is_sound(&self, stated: f32) -> bool {
-        (BOUNDS.0 * stated..=BOUNDS.1 * stated).contains(&self.value)
+        (0.999 * BOUNDS.0 * stated..=1.001 * BOUNDS.1 * stated).contains(&self.value)
             && (0.0..=MAX_WEIGHT).contains(&self.weight)
             && (0.0..=MAX_SD).contains(&self.sd)
             && self.weight > 0.0
@@ -90,8 +90,8 @@ impl Capacity {
     }
 }
 
-/// Number of pairs of the same weight that are worth as much as these: (Σw)² / Σw² for weights that
-/// fall by [`AGE`].
+/// Number of pairs of the same weight that are worth as much as these: (Σw)² / Σw² for weights
+/// that fall by [`AGE`].
 fn pairs(weight: f32) -> f32 {
     weight * (1.0 + AGE) / (2.0 - (1.0 - AGE) * weight)
 }

@@ -117,8 +117,7 @@ rows! {
 
 /// Parts of the charge whose charging rates are learned.
 pub const CHARGE_TENTHS: usize = 10;
-/// The tenths from here on are as fast as each has been shown to be: there charging slows down. Those
-/// before it are alike.
+/// From this tenth on charging slows down, and each counts by itself. Those before it are alike.
 const TAPER: usize = 8;
 
 impl Budget {

@@ -623,8 +623,8 @@ impl BatteryState {
         self.lessons.charge(is_known.then_some(self.soc), elapsed_ns);
     }
 
-    /// A drive from charge to charge has ended: its last measured value ends a pair, if it is believed
-    /// and another one began it.
+    /// A drive from charge to charge has ended: its last measured value ends a pair, if it is
+    /// believed and another one began it.
     fn end_drive(&mut self, battery: &Battery) {
         let is_measured = self.lessons.is_measured();
         if is_measured && !AlarmSet(self.raised).has(Alarm::SocImplausible) {
@@ -701,15 +701,15 @@ impl BatteryState {
     /// A battery that an earlier run wrote down.
     fn restored(
         (saved, mean_w, pause): (&SavedBattery, f32, &SavedPause),
-        taught: &SavedLessons,
+        learned: &SavedLessons,
         battery: &Battery,
         ledger: &Ledger,
     ) -> Self {
         let at = At { unmetered_ns: saved.unmetered_ns, ..At::new(ledger) };
         let SavedPause { off, idle_w, pause_s, pause } = *pause;
         let idle_w = idle_w.filter(|watts| watts.is_finite()).unwrap_or(f32::NAN);
-        let capacity = taught.capacity(battery.capacity_j);
-        let lessons = Lessons::continued(taught.charge_rate);
+        let capacity = learned.capacity(battery.capacity_j);
+        let lessons = Lessons::continued(learned.charge_rate);
         let counting_sd = capacity.map_or(battery.counting_sd, |learned| learned.sd.into());
         let Some(estimate) = saved.estimate(counting_sd) else {
             let unknown = Self::unknown(battery, at);
@@ -747,8 +747,8 @@ impl BatteryState {
     pub(crate) fn joining(battery: &Battery, known: Known, used: bool, ledger: &Ledger) -> Self {
         let mut joining = match known {
             Known::Kept(kept) => kept,
-            Known::Saved(saved, mean_w, pause, taught) => {
-                Self::restored((&saved, mean_w, &pause), &taught, battery, ledger)
+            Known::Saved(saved, mean_w, pause, lessons) => {
+                Self::restored((&saved, mean_w, &pause), &lessons, battery, ledger)
             }
             // Charged by an earlier version, which did not meter it, or its account was given up.
             Known::Nothing if used => Self::unknown(battery, At::new(ledger)),
@@ -801,7 +801,7 @@ pub struct SavedBattery {
     lessons: SavedLessons,
 }
 
-/// What a battery's state from an earlier run has learned. Fields as in [`Budget`].
+/// What the charges of a battery taught an earlier run. Fields as in [`Budget`].
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SavedLessons {
@@ -907,7 +907,7 @@ impl SavedBattery {
         self.pause
     }
 
-    /// What it has learned, which is stored apart too.
+    /// What its charges have taught, which is stored apart too.
     pub const fn lessons(&self) -> SavedLessons {
         self.lessons
     }

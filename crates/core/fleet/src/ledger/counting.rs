@@ -35,8 +35,8 @@ impl Counting {
         }
     }
 
-    /// That of a robot: with the capacity that is [learned](learned) of its battery, and the error of
-    /// that in place of the stated one.
+    /// That of a robot: with the [learned](learned) capacity of its battery, and the error of that
+    /// in place of the stated one.
     #[inline(always)]
     pub(crate) fn of(&self, capacity: (f32, f32)) -> Self {
         let (share, sd) = learned(capacity).unwrap_or((1.0, self.sd));
@@ -52,8 +52,8 @@ impl Counting {
     }
 }
 
-/// A learned capacity as a share of the stated one, and its relative standard deviation. `None` before
-/// anything is learned, when that is 0.
+/// A learned capacity as a share of the stated one, and its relative standard deviation. `None`
+/// before anything is learned, when that is 0.
 #[inline(always)]
 fn learned((share, sd): (f32, f32)) -> Option<(f64, f64)> {
     (sd > 0.0).then_some((share.into(), sd.into()))
@@ -63,8 +63,8 @@ fn learned((share, sd): (f32, f32)) -> Option<(f64, f64)> {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Size {
     pub capacity_j: f64,
-    /// Relative standard deviation of a learned capacity. 0 of the stated one, whose error is that of
-    /// counting.
+    /// Relative standard deviation of a learned capacity. 0 of the stated one, whose error is that
+    /// of counting.
     pub sd: f64,
     /// Of energy that is counted from a known charge on, as a share of it.
     pub counting_sd: f64,
@@ -78,15 +78,15 @@ impl Size {
         Self { capacity_j: battery.capacity_j * share, sd, counting_sd }
     }
 
-    /// What is left of a charge beyond `reserve`, a share of it, as a share of the capacity, with the
-    /// error of the capacity. If the capacity is less, more of it has been drawn, and less is left.
+    /// What is left of the charge, with the error of the capacity in what is above `reserve`. If
+    /// the capacity is less, a greater share of it has been drawn, and the rest is less energy.
     #[inline(always)]
     pub(crate) fn left(&self, now: &EnergyLeft, reserve: f64) -> EnergyLeft {
         EnergyLeft { monitor: now.monitor - self.sd * (now.left - reserve).max(0.0), ..*now }
     }
 
-    /// Relative error of counting energy that is yet to be drawn. The capacity is learned by the same
-    /// monitor, so its error is that of the energy left.
+    /// Relative error of counting energy that is yet to be drawn. The same monitor has taught the
+    /// capacity, so its error is that of the energy left.
     #[inline(always)]
     pub(crate) fn ahead_sd(&self) -> f64 {
         if self.sd > 0.0 { 0.0 } else { self.counting_sd }

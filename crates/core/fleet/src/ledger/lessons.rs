@@ -52,8 +52,8 @@ impl Lessons {
         self.start > 0.0 && self.start_sd <= 0.0
     }
 
-    /// The pair that a charge of the same kind ends. The bias of a sensor is not in the depth between
-    /// two of its values.
+    /// The pair that a charge of the same kind ends. The bias of a sensor is not in the depth
+    /// between two of its values.
     pub(crate) fn pair(&self, (soc, counted, sd): (f64, f64, f64), step: f64) -> Option<Pair> {
         let (is_measured, sd) = (sd <= 0.0, sd as f32);
         let depth_sd = match is_measured {

@@ -10,8 +10,8 @@ const fn bit(alarm: Alarm) -> u32 {
     AlarmSet(0).with(alarm).0
 }
 
-/// A battery is worn whose learned capacity, at the upper end of its interval, is below this share of
-/// the stated one: there battery makers and standards end its life.
+/// A battery is worn if its learned capacity, at the upper end of the interval, is below this share
+/// of the stated one. There makers and standards end its life.
 const WORN: f64 = 0.8;
 
 /// The battery's alarms after those `raised` before, with what is left `now`: raised below a threshold,
