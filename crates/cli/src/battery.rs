@@ -1,16 +1,20 @@
 //! `joulebus battery`: what is known of the robots' batteries, and what a person states of one.
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
 use joulebus_board::{Board, Reading};
 use joulebus_bus::{NoWorker, clock};
 use joulebus_config::Config;
+use joulebus_plan::report::{Joules, Lasting};
 use joulebus_planner::PlanClient;
+use joulebus_predictor_worker::{LearnedCapacity, learned_capacities};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, log_line};
+use joulebus_program::utc::Utc;
 use joulebus_wire::{Budget, ChargeState, Statement, budget_flag};
 use serde::Serialize;
 
@@ -26,6 +30,7 @@ const PATIENCE_NS: u64 = 2_500_000_000;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus battery                           all robots\n  \
+    joulebus battery 7                         also the capacities learned, month by month\n  \
     joulebus battery 7 --full                  its charger or a person says so\n  \
     joulebus battery 7 --charge .8 --by ann    a display or a meter says 80 %\n  \
     joulebus battery 7 --exchanged             another battery, charged like the first\n\n\
@@ -98,6 +103,7 @@ impl fmt::Display for Stated {
 fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<Outcome> {
     let board = RefCell::new(Board::new(clock::monotonic_ns()));
     let mut reading = Reading::open(config, "battery", false)?;
+    let saved = learned_capacities(config);
     let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
     let mut list = BatteryList { fleet: config.fleet().to_owned(), robots: Vec::new() };
     while list.robots.is_empty() && clock::monotonic_ns() < give_up_ns {
@@ -105,7 +111,7 @@ fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<O
         let board = board.borrow();
         let rows = board.rows.values().filter_map(|row| row.budget.as_ref());
         let wanted = rows.filter(|budget| robot.is_none_or(|robot| budget.robot == robot));
-        list.robots = wanted.map(BatteryRecord::new).collect();
+        list.robots = wanted.map(|budget| BatteryRecord::new(budget, &saved)).collect();
     }
     if list.robots.is_empty() {
         let seen = board.borrow().header().is_some();
@@ -146,10 +152,18 @@ struct BatteryRecord {
     pause: f64,
     /// What a pause cost, and what to do.
     note: Option<String>,
+    /// Learned capacity and its standard deviation, J.
+    capacity_j: Option<f64>,
+    capacity_sd_j: Option<f64>,
+    /// Time on the charger by earlier charges, s.
+    time_to_80_s: Option<f64>,
+    time_to_full_s: Option<f64>,
+    /// Learned capacities, the last of each month, as the worker on this host has saved them.
+    months: Vec<LearnedCapacity>,
 }
 
 impl BatteryRecord {
-    fn new(budget: &Budget) -> Self {
+    fn new(budget: &Budget, saved: &BTreeMap<u32, Vec<LearnedCapacity>>) -> Self {
         let number = |value: f32| value.is_finite().then_some(f64::from(value));
         Self {
             robot: budget.robot,
@@ -165,7 +179,23 @@ impl BatteryRecord {
             pause_s: budget.pause_s.into(),
             pause: budget.pause.into(),
             note: budget.pause_note(),
+            capacity_j: budget.capacity_j().map(|(joules, _)| joules.into()),
+            capacity_sd_j: budget.capacity_j().map(|(_, sd_j)| sd_j.into()),
+            time_to_80_s: budget.charging_s(budget.soc.into(), 0.8),
+            time_to_full_s: budget.charging_s(budget.soc.into(), 1.0),
+            months: saved.get(&budget.robot).cloned().unwrap_or_default(),
         }
+    }
+}
+
+/// A capacity and its standard deviation, J, as people read it: with two of them.
+struct Capacity(f64, f64);
+
+impl fmt::Display for Capacity {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self(capacity_j, sd_j) = *self;
+        let [lo, hi] = [capacity_j - 2.0 * sd_j, capacity_j + 2.0 * sd_j].map(Joules);
+        write!(out, "{} ({lo} to {hi})", Joules(capacity_j))
     }
 }
 
@@ -191,9 +221,21 @@ impl fmt::Display for BatteryList {
             if robot.off {
                 write!(out, ", switched off")?;
             }
+            if let Some((capacity_j, sd_j)) = robot.capacity_j.zip(robot.capacity_sd_j) {
+                write!(out, ", capacity {}", Capacity(capacity_j, sd_j))?;
+            }
+            if let Some(time_s) = robot.time_to_full_s.filter(|_| robot.charging) {
+                write!(out, ", full in {}", Lasting(time_s))?;
+            }
             match &robot.note {
                 Some(note) => writeln!(out, ". {note}")?,
                 None => writeln!(out)?,
+            }
+            // One line a robot, unless one is asked about.
+            for month in robot.months.iter().filter(|_| self.robots.len() == 1) {
+                let date = Utc::new(month.unix_s.saturating_mul(1_000_000_000)).date();
+                let capacity = Capacity(month.capacity_j.into(), month.capacity_sd_j.into());
+                writeln!(out, "  {date}  {capacity}")?;
             }
         }
         Ok(())

@@ -3,6 +3,7 @@
 mod path_file;
 mod point;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -15,7 +16,7 @@ use joulebus_plan::{MAX_STEPS, Path, Plan, Question, QuestionError, Reply};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError, ViewError};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
-use joulebus_wire::QueryRefusal;
+use joulebus_wire::{Budget, QueryRefusal};
 
 use crate::configs;
 use point::{PointArgument, ReturnTo};
@@ -47,7 +48,8 @@ const MOMENTS: usize = 48;
     speed_mps: towards the point, at most the platform's. dwell_s: wait there. load_w: power that \
     the robot draws in addition towards the point and while it waits there. time_s: when it is \
     there. With times, speeds are upper limits, and a repeated point is a wait. The answer says if \
-    the robot is more than a second late:\n\n    \
+    the robot is more than a second late. charge_to, at the last point: the robot is then charged \
+    to this share, and the answer has the time by its earlier charges (not --through worker):\n\n    \
     x_m,y_m,speed_mps,dwell_s,load_w\n    0,0,,,\n    2,0,0.2,30,\n    2,1.5,0.1,,1.5\n\n\
     An order of VDA 5050 with its nodes and edges, or a nav_msgs/Path, as JSON, is a path file too. \
     The maxSpeed of an edge is its speed, but for a lower --speed. Stamps that differ are times.\n\n\
@@ -109,6 +111,10 @@ pub(crate) struct Args {
     /// stairs of a grid of cells up to 0.25 m]
     #[arg(long, value_name = "M", conflicts_with = "idle")]
     tolerance: Option<f32>,
+    /// Then charge to this state of charge, 0 to 1: how long that takes by earlier charges [default:
+    /// charge_to of the path file]
+    #[arg(long, value_name = "SHARE", value_parser = path_file::charge_to)]
+    charge_to: Option<f64>,
     /// Coverage of the intervals, 0.5 to 0.999
     #[arg(long, value_name = "SHARE", default_value_t = 0.9)]
     coverage: f32,
@@ -137,7 +143,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     }
     let configs = configs::load(&args.config)?;
     let read = |file| path_file::read(file, args.speed);
-    let mut path = args.path.as_deref().map(read).transpose()?;
+    let read = args.path.as_deref().map(read).transpose()?;
+    let (mut path, charge_to) = read.map_or((None, None), |(path, to)| (Some(path), to));
+    let charge_to = args.charge_to.or(charge_to);
+    if charge_to.is_some() && args.through == Through::Worker {
+        let wrong = "charge_to is answered from shared memory: leave out --through worker";
+        return Err(UsageError(wrong.to_owned()).into());
+    }
     if let Some(path) = &mut path {
         path.tolerance_m = args.tolerance;
     }
@@ -153,7 +165,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             Through::Worker => args.send(config, &question)?,
         });
     }
-    let report = AnswersReport { path: simplified, ..args.report(asked, missing) };
+    let report = AnswersReport { path: simplified, ..args.report(asked, missing, charge_to) };
     output.report(&report)?;
     Ok(Outcome::Done)
 }
@@ -165,6 +177,8 @@ struct Asked<'a> {
     age_ns: u64,
     reply: Reply,
     missing: Vec<u32>,
+    /// The robots' budgets, if this process has read them.
+    budgets: Vec<Budget>,
 }
 
 /// Fleets, with the question for each.
@@ -262,13 +276,14 @@ impl Args {
             QuestionError::Ask(error) => UsageError(error.to_string()).into(),
             error => anyhow::Error::from(error),
         })?;
-        for row in &reply.rows {
-            let budget = view.rows(row.robot).and_then(|rows| rows.budget);
-            if let Some(note) = budget.and_then(|(_, budget)| budget.pause_note()) {
-                log_line(&format!("robot {}: {note}", row.robot));
+        let rows = reply.rows.iter().filter_map(|row| view.rows(row.robot)?.budget);
+        let budgets: Vec<Budget> = rows.map(|(_, budget)| budget).collect();
+        for budget in &budgets {
+            if let Some(note) = budget.pause_note() {
+                log_line(&format!("robot {}: {note}", budget.robot));
             }
         }
-        Ok(Asked { config, tick: view.tick(), age_ns: view.age_ns(), reply, missing })
+        Ok(Asked { config, tick: view.tick(), age_ns: view.age_ns(), reply, missing, budgets })
     }
 
     /// Lets the worker answer.
@@ -297,7 +312,7 @@ impl Args {
             error => refused(error, config),
         })?;
         let (tick, age_ns, reply) = (answered.tick, answered.age_ns, answered.reply);
-        Ok(Asked { config, tick, age_ns, reply, missing })
+        Ok(Asked { config, tick, age_ns, reply, missing, budgets: Vec::new() })
     }
 
     /// Splits several robots into a question about those that are there, and the others. If none
@@ -326,7 +341,14 @@ impl Args {
     }
 
     /// Joins the answers of all fleets, the best first. `missing` are the robots of no fleet.
-    fn report(&self, asked: Vec<Asked<'_>>, mut missing: Vec<u32>) -> AnswersReport {
+    fn report(
+        &self,
+        asked: Vec<Asked<'_>>,
+        mut missing: Vec<u32>,
+        charge_to: Option<f64>,
+    ) -> AnswersReport {
+        let budgets = asked.iter().flat_map(|one| &one.budgets);
+        let budgets: BTreeMap<u32, Budget> = budgets.map(|row| (row.robot, *row)).collect();
         let configs: Vec<&Config> = asked.iter().map(|one| one.config).collect();
         let names: Vec<&str> = configs.iter().map(|config| config.fleet()).collect();
         let oldest = asked.iter().map(|one| (one.age_ns, one.tick)).max();
@@ -348,7 +370,8 @@ impl Args {
             let mut answer = AnswerReport::new(config.settings(), row);
             answer.fleet = (self.config.len() > 1).then(|| config.fleet().to_owned());
             answer.asked_to_return = self.return_to.is_some();
-            answer.set_along(config.settings(), along);
+            let charging = (budgets.get(&row.robot), charge_to);
+            answer.set_along(config.settings(), along, charging);
             if self.power {
                 answer.power_w = reply.as_ref().map(|reply| reply.power_w.clone());
             }

@@ -11,11 +11,11 @@ use serde::Deserialize;
 const MAX_BYTES: u64 = 16 << 20;
 
 /// The columns of a path file. Beside the first two, each may be missing.
-const COLUMNS: [&str; 6] = ["x_m", "y_m", "speed_mps", "dwell_s", "load_w", "time_s"];
+const COLUMNS: [&str; 7] = ["x_m", "y_m", "speed_mps", "dwell_s", "load_w", "time_s", "charge_to"];
 
 /// Reads a path with `speed_mps` where the file states no speed. Without one, the highest that the
-/// model was trained on.
-pub(super) fn read(file: &FilePath, speed_mps: Option<f64>) -> anyhow::Result<Path> {
+/// model was trained on. And the state of charge to which the robot is charged behind it.
+pub(super) fn read(file: &FilePath, speed_mps: Option<f64>) -> anyhow::Result<(Path, Option<f64>)> {
     let named = || format!("path {}", file.display());
     let text = joulebus_files::read_to_string(file, MAX_BYTES).with_context(named)?;
     parse(&text, speed_mps).map_err(|error| UsageError(format!("{}: {error}", named())).into())
@@ -135,14 +135,21 @@ fn of_order(mut nodes: Vec<Node>, edges: &[Edge], speed_mps: f64) -> Result<Path
     Ok(path)
 }
 
-fn parse(text: &str, speed_mps: Option<f64>) -> Result<Path, String> {
+/// A state of charge to which a robot is charged.
+pub(super) fn charge_to(text: &str) -> Result<f64, String> {
+    let found = text.parse().ok().filter(|share| (0.0..=1.0).contains(share));
+    found.ok_or_else(|| format!("{text}, allowed: 0 to 1"))
+}
+
+fn parse(text: &str, speed_mps: Option<f64>) -> Result<(Path, Option<f64>), String> {
     let text = text.trim_start_matches('\u{feff}');
     if text.trim_start().starts_with('{') {
         let expected = "expected an order of VDA 5050 with nodes and edges, or a nav_msgs/Path with \
                         poses, as JSON";
         let message: Message =
             serde_json::from_str(text).map_err(|error| format!("{error}: {expected}"))?;
-        return message.path(speed_mps.unwrap_or(f64::INFINITY));
+        let path = message.path(speed_mps.unwrap_or(f64::INFINITY))?;
+        return Ok((path, None));
     }
     let lines = text.lines().zip(1..);
     let mut lines = lines.filter(|(line, _)| !line.trim().is_empty());
@@ -159,7 +166,7 @@ fn parse(text: &str, speed_mps: Option<f64>) -> Result<Path, String> {
     let (Some(x), Some(y), None) = (column("x_m"), column("y_m"), unknown) else {
         return Err(format!("line 1 is {head:?}: {expected}"));
     };
-    let mut path = Path::default();
+    let (mut path, mut charge_to) = (Path::default(), None);
     for (line, number) in lines {
         let cells: Vec<&str> = line.split(',').map(str::trim).collect();
         if cells.len() != names.len() {
@@ -172,6 +179,13 @@ fn parse(text: &str, speed_mps: Option<f64>) -> Result<Path, String> {
                 format!("line {number}: {} = {:?} is no number", names[at], cells[at])
             })
         };
+        if charge_to.is_some() {
+            return Err(format!("line {number} comes after charge_to, which is of the last point"));
+        }
+        if let Some(at) = column("charge_to").filter(|at| !cells[*at].is_empty()) {
+            let to = self::charge_to(cells[at]);
+            charge_to = Some(to.map_err(|error| format!("line {number}: charge_to = {error}"))?);
+        }
         path.points.push(Point::new(value(x)?, value(y)?));
         let stated = column("speed_mps").filter(|at| !cells[*at].is_empty());
         let speed_mps = speed_mps.unwrap_or(f64::INFINITY);
@@ -188,7 +202,7 @@ fn parse(text: &str, speed_mps: Option<f64>) -> Result<Path, String> {
     if path.points.is_empty() {
         return Err("has a header, but no points: the first is where the robot is".to_owned());
     }
-    Ok(path)
+    Ok((path, charge_to))
 }
 
 #[cfg(test)]
@@ -198,15 +212,17 @@ mod tests {
     #[test]
     fn columns_are_found_by_name_and_may_be_left_out() {
         let text = "y_m, x_m ,speed_mps\n\n1,2,\r\n-3.5,4e-1,0.2\n";
-        let path = parse(text, None).expect("valid");
+        let (path, _) = parse(text, None).expect("valid");
         assert_eq!(path.points, [Point::new(2.0, 1.0), Point::new(0.4, -3.5)]);
         assert_eq!(path.speed_mps, [f64::INFINITY, 0.2]);
-        assert_eq!(parse(text, Some(0.1)).expect("valid").speed_mps, [0.1, 0.2]);
-        let path = parse("x_m,y_m\n0,0\n1,1", Some(0.3)).expect("valid");
+        assert_eq!(parse(text, Some(0.1)).expect("valid").0.speed_mps, [0.1, 0.2]);
+        let (path, _) = parse("x_m,y_m\n0,0\n1,1", Some(0.3)).expect("valid");
         assert_eq!(path.speed_mps, [0.3, 0.3]);
         assert!(path.dwell_s.is_empty() && path.load_w.is_empty() && path.time_s.is_empty());
-        let path = parse("x_m,y_m,dwell_s,load_w,time_s\n0,0,,,3\n1,1,5,-2.5,9", None);
-        let path = path.expect("valid");
+        let path =
+            parse("x_m,y_m,dwell_s,load_w,time_s,charge_to\n0,0,,,3,\n1,1,5,-2.5,9,.8", None);
+        let (path, charge_to) = path.expect("valid");
+        assert_eq!(charge_to, Some(0.8));
         assert_eq!((path.dwell_s, path.load_w), (vec![0.0, 5.0], vec![0.0, -2.5]));
         assert_eq!(path.time_s, [3.0, 9.0]);
     }
@@ -268,6 +284,8 @@ mod tests {
             ("x_m,y_m,speed_mps\n0,0,fast\n", "line 2: speed_mps"),
             ("x_m,y_m,time_s\n0,0,\n", "line 2: time_s"),
             ("x_m,y_m,dwell_s\n0,0,inf\n", "line 2: dwell_s"),
+            ("x_m,y_m,charge_to\n0,0,80\n", "line 2: charge_to = 80"),
+            ("x_m,y_m,charge_to\n0,0,.8\n1,0,.8\n", "line 3 comes after charge_to"),
         ] {
             let error = parse(text, None).expect_err(text);
             assert!(error.contains(expected), "{text:?}: {error}");

@@ -3,6 +3,7 @@
 use std::fmt;
 
 use joulebus_settings::{FleetSettings, Platform};
+use joulebus_wire::Budget;
 use serde::Serialize;
 
 use crate::answer::{Answer, Caveats, Left, Range, Verdict};
@@ -62,9 +63,37 @@ pub struct AnswerReport {
     /// robots.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     along: Vec<Moment>,
+    /// Charging behind the trip, if asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    charge: Option<ChargeAfter>,
     /// Power of every step, W, if asked for.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub power_w: Option<Vec<f32>>,
+}
+
+/// Charging behind a trip.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[non_exhaustive]
+pub struct ChargeAfter {
+    /// To this state of charge.
+    pub to: f64,
+    /// Time on the charger by earlier charges of the robot, s: from the expected charge, and from
+    /// its lower bound. Null if unknown.
+    pub time_s: Option<f64>,
+    /// See `time_s`.
+    pub most_s: Option<f64>,
+}
+
+impl fmt::Display for ChargeAfter {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(out, "charge to {:.0} %: ", 100.0 * self.to)?;
+        match (self.time_s, self.most_s) {
+            (Some(time_s), Some(most_s)) => {
+                write!(out, "{} on the charger, at most {}", Lasting(time_s), Lasting(most_s))
+            }
+            _ => write!(out, "unknown time, until the robot has charged so far once"),
+        }
+    }
 }
 
 /// A moment of a trip. The charge is unknown without a battery whose charge is known.
@@ -139,21 +168,42 @@ impl AnswerReport {
             asked_to_return: false,
             caveats: answer.caveats,
             along: Vec::new(),
+            charge: None,
             power_w: None,
         }
     }
 
-    /// Adds the robot's answers to the parts of its trip.
-    pub fn set_along(&mut self, settings: &FleetSettings, along: &[Row]) {
+    /// Adds the robot's answers to the parts of its trip, and the time to charge to a state of
+    /// charge behind it, if that is asked for. `budget` has what its battery has taught.
+    pub fn set_along(
+        &mut self,
+        settings: &FleetSettings,
+        along: &[Row],
+        (budget, charge_to): (Option<&Budget>, Option<f64>),
+    ) {
         let battery = platform(settings, self.robot).and_then(|its| its.battery.as_ref());
-        let capacity_j = battery.map(|battery| battery.capacity_j);
+        let learned = budget.and_then(Budget::capacity_j);
+        let stated_j = battery.map(|battery| battery.capacity_j);
+        let capacity_j = learned.map(|(capacity_j, _)| capacity_j.into()).or(stated_j);
+        self.charge = charge_to.map(|to| {
+            let known = self.left.zip(capacity_j).zip(budget);
+            let charging_s = |energy_j: fn(&Left) -> f32| {
+                let ((left, capacity_j), budget) = known?;
+                budget.charging_s((f64::from(energy_j(&left)) / capacity_j).min(1.0), to)
+            };
+            ChargeAfter {
+                to,
+                time_s: charging_s(|left| left.mean_j),
+                most_s: charging_s(|left| left.lo_j),
+            }
+        });
         let its = || along.iter().filter(|row| row.robot == self.robot).map(|row| &row.answer);
         let full_j = its().next().and_then(full_j).unwrap_or(f32::NAN);
         self.along = its().map(|answer| Moment::new(answer, full_j, capacity_j)).collect();
     }
 
     /// The charge at the quarters of the trip.
-    fn charge(&self) -> Option<String> {
+    fn charges(&self) -> Option<String> {
         let count = self.along.len();
         let quarters =
             (1..=4).filter_map(|quarter| self.along.get((count * quarter / 4).checked_sub(1)?));
@@ -185,7 +235,8 @@ impl AnswerReport {
                     .to_owned(),
             });
         }
-        lines.extend(self.charge());
+        lines.extend(self.charges());
+        lines.extend(self.charge.map(|charge| charge.to_string()));
         if let Some(leg) = self.limiting_leg {
             lines.push(format!("leg {leg} is the first that is not sure (from 0)"));
         }

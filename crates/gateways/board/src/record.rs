@@ -88,6 +88,12 @@ pub struct RobotRecord {
     time_to_empty_s: Option<f64>,
     time_to_empty_lo_s: Option<f64>,
     time_to_empty_hi_s: Option<f64>,
+    /// Learned capacity of the battery and its standard deviation.
+    capacity_j: Option<f64>,
+    capacity_sd_j: Option<f64>,
+    /// Time on the charger until the battery is at 80 %, and full, by earlier charges.
+    time_to_80_s: Option<f64>,
+    time_to_full_s: Option<f64>,
     /// Absent unless outlooks are read.
     #[serde(skip_serializing_if = "Option::is_none")]
     outlook: Option<OutlookRecord>,
@@ -256,6 +262,10 @@ impl RobotRecord {
             time_to_empty_s: lasting.and_then(|b| known(b.time_to_empty_s.into())),
             time_to_empty_lo_s: lasting.and_then(|b| known(b.time_to_empty_lo_s.into())),
             time_to_empty_hi_s: lasting.and_then(|b| known(b.time_to_empty_hi_s.into())),
+            capacity_j: battery.and_then(|b| Some(b.capacity_j()?.0.into())),
+            capacity_sd_j: battery.and_then(|b| Some(b.capacity_j()?.1.into())),
+            time_to_80_s: battery.and_then(|b| b.charging_s(b.soc.into(), 0.8)),
+            time_to_full_s: battery.and_then(|b| b.charging_s(b.soc.into(), 1.0)),
             outlook: None,
         }
     }

@@ -34,6 +34,10 @@ const FIELDS = {
   "mean-power": (r) => format.watts(r.mean_power_w),
   usable: (r) => format.energy(r.usable_j),
   "usable-lo": (r) => format.energy(r.usable_lo_j),
+  capacity: (r) => (format.isKnown(r.capacity_j)
+    ? `${format.energy(r.capacity_j)} ±\u202f${format.energy(2 * r.capacity_sd_j)}` : format.UNKNOWN),
+  "to-full": (r) => format.duration(r.time_to_full_s),
+  "to-80": (r) => format.duration(r.time_to_80_s),
   metered: (r) => format.duration(r.metered_s),
   unmetered: (r) => format.duration(r.unmetered_s),
   charging: (r) => yes(r.charging, "charging", "not charging"),

@@ -375,7 +375,9 @@ async fn what_if(
     request: Request,
 ) -> Answer {
     let wrong = |text: String| ApiError::new(StatusCode::BAD_REQUEST, text);
-    let question = body::<Asked>(&app, peer, request).await?.question().map_err(wrong)?;
+    let asked = body::<Asked>(&app, peer, request).await?;
+    let charge_to = asked.charge_to;
+    let question = asked.question().map_err(wrong)?;
     let turn = app.shares.questions.enter(peer).await?;
     let turn = app.questions.load(turn, &app.config).await?;
     let robots = question.plan.robots().to_vec();
@@ -387,9 +389,9 @@ async fn what_if(
         joulebus_plan::Plan::Follow { path, .. } => path.simplified(),
         _ => None,
     };
-    let (stated, of) = ((question.coverage, simplified), rows.first().copied());
-    let reply = app.questions.answer(turn, question, rows).await?;
-    Ok(json(&report(&app.config, stated, of.as_ref(), &reply)))
+    let stated = (question.coverage, simplified);
+    let reply = app.questions.answer(turn, question, rows.clone()).await?;
+    Ok(json(&report(&app.config, stated, (&rows, charge_to), &reply)))
 }
 
 /// The body of a request, which is JSON.

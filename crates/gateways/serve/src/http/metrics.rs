@@ -324,6 +324,25 @@ impl Metrics {
             Some(&Unit::Seconds),
             left,
         )?;
+        let to_full = series(&|entry| {
+            let budget = entry.newest.budget.as_ref()?;
+            budget.charging_s(budget.soc.into(), 1.0)
+        });
+        gauges(
+            encoder,
+            "joulebus_time_to_full",
+            "Time on the charger until the battery is full, by earlier charges",
+            Some(&Unit::Seconds),
+            to_full,
+        )?;
+        let capacity = series(&|entry| Some(entry.newest.budget?.capacity_j()?.0.into()));
+        gauges(
+            encoder,
+            "joulebus_capacity",
+            "Learned capacity of the battery",
+            Some(&Unit::Joules),
+            capacity,
+        )?;
         let last = robots.last().map_or(0, |entry| entry.robot);
         let outlooks = self.outlooks.iter().filter(|outlook| outlook.robot <= last);
         let ahead = outlooks.flat_map(|outlook| {

@@ -132,14 +132,18 @@ fn in_time(
 pub(super) fn report(
     config: &Config,
     (coverage, path): (f32, Option<Simplified>),
-    rows: Option<&RobotRows>,
+    (of, charge_to): (&[RobotRows], Option<f64>),
     reply: &Reply,
 ) -> AnswersReport {
     let answers = reply.ranked().into_iter().map(|row| {
         let mut answer = AnswerReport::new(config.settings(), row);
-        answer.set_along(config.settings(), &reply.along);
+        let budget = of.iter().filter_map(|rows| rows.budget.as_ref());
+        let mut budget = budget.filter(|(_, budget)| budget.robot == row.robot);
+        let budget = budget.next().map(|(_, budget)| budget);
+        answer.set_along(config.settings(), &reply.along, (budget, charge_to));
         answer
     });
+    let rows = of.first();
     AnswersReport {
         fleet: config.fleet().to_owned(),
         tick: rows.map_or(0, |rows| rows.header.tick),

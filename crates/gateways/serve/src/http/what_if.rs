@@ -29,6 +29,8 @@ pub(super) struct Asked {
     /// Distance from the path within which corners are cut, m. Without it, the stairs of a grid within
     /// half a cell.
     tolerance_m: Option<f32>,
+    /// Then charge to this state of charge.
+    pub(super) charge_to: Option<f64>,
     /// Coverage of the intervals.
     #[serde(default = "usual_coverage")]
     coverage: f32,
@@ -74,6 +76,9 @@ impl Asked {
         if !(1..=MAX_ROBOTS).contains(&robots.len()) {
             let found = robots.len();
             return Err(format!("{found} robots in robot and rank, allowed: 1 to {MAX_ROBOTS}"));
+        }
+        if let Some(to) = self.charge_to.filter(|to| !(0.0..=1.0).contains(to)) {
+            return Err(format!("charge_to is {to}, allowed: 0 to 1"));
         }
         let plan = match (self.path, self.idle_s) {
             (Some(waypoints), None) => {
