@@ -43,7 +43,8 @@ impl What {
             Self::Budget => {
                 "robot name stamp_unix_ns drawn_j metered_s unmetered_s mean_power_w soc \
                     soc_lo soc_hi charging usable_j usable_lo_j time_to_empty_s \
-                    time_to_empty_lo_s time_to_empty_hi_s"
+                    time_to_empty_lo_s time_to_empty_hi_s capacity_j capacity_sd_j time_to_80_s \
+                    time_to_full_s"
             }
             Self::Outlook => {
                 "robot name stamp_unix_ns energy_1s_j energy_1s_lo_j energy_1s_hi_j \
@@ -59,7 +60,7 @@ impl What {
 }
 
 /// All values of a robot, for use in mappings.
-const VALUES: [(Quantity, &str); 13] = [
+const VALUES: [(Quantity, &str); 15] = [
     (Quantity::Plain, "robot name quality quality_detail stamp_unix_ns target_unix_ns"),
     (Quantity::Power, "reading_w"),
     (Quantity::Time, "reading_age_s"),
@@ -72,6 +73,8 @@ const VALUES: [(Quantity, &str); 13] = [
     (Quantity::Plain, "charging"),
     (Quantity::Energy, "usable_j usable_lo_j"),
     (Quantity::Time, "time_to_empty_s time_to_empty_lo_s time_to_empty_hi_s"),
+    (Quantity::Energy, "capacity_j capacity_sd_j"),
+    (Quantity::Time, "time_to_80_s time_to_full_s"),
     (
         Quantity::Energy,
         "energy_1s_j energy_1s_lo_j energy_1s_hi_j energy_10s_j energy_10s_lo_j \
