@@ -241,3 +241,36 @@ impl fmt::Display for BatteryList {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_list_has_the_learned_capacity_and_that_of_one_robot_its_months() {
+        let of = |robot| Budget {
+            robot,
+            flags: budget_flag::BATTERY | budget_flag::CHARGE,
+            charge_state: ChargeState::Charging.code(),
+            soc: 0.5,
+            soc_lo: 0.4,
+            soc_hi: 0.6,
+            capacity_j: 28_800.0,
+            capacity_sd_j: 720.0,
+            charge_rate: [500; joulebus_wire::CHARGE_TENTHS],
+            ..Budget::default()
+        };
+        let (unix_s, capacity_j, capacity_sd_j) = (1_790_000_000, 32_400.0, 1_080.0);
+        let saved = LearnedCapacity { unix_s, capacity_j, capacity_sd_j };
+        let saved = BTreeMap::from([(7, vec![saved])]);
+        let list = |robots: &[u32]| {
+            let robots = robots.iter().map(|robot| BatteryRecord::new(&of(*robot), &saved));
+            BatteryList { fleet: "lab".to_owned(), robots: robots.collect() }.to_string()
+        };
+        let known =
+            "50 % (40 to 60), charging, capacity 8.00 Wh (7.60 Wh to 8.40 Wh), full in 60.0 min";
+        let month = "  2026-09-21  9.00 Wh (8.40 Wh to 9.60 Wh)";
+        assert_eq!(list(&[7]), format!("robot 7: {known}\n{month}\n"));
+        assert_eq!(list(&[7, 8]), format!("robot 7: {known}\nrobot 8: {known}\n"));
+    }
+}

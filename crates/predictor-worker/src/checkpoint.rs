@@ -244,7 +244,12 @@ impl Checkpoint {
         let Some((capacity_j, capacity_sd_j)) = budget.capacity_j() else {
             return;
         };
-        if before.is_some_and(|before| before.capacity_j() == (capacity_j, capacity_sd_j)) {
+        // A restart rounds it.
+        let near = |one: f32, other: f32| (one - other).abs() <= 1e-5 * other;
+        let before = before.map(|before| before.capacity_j());
+        if before
+            .is_some_and(|(joules, sd_j)| near(joules, capacity_j) && near(sd_j, capacity_sd_j))
+        {
             return;
         }
         let unix_s = self.written_unix_ns / 1_000_000_000;
@@ -500,6 +505,8 @@ pub(crate) mod tests {
     fn the_last_capacity_of_each_of_24_months_is_kept_and_read_again() {
         let mut ledger = Checkpoint::new("lab", "boot-a");
         for day in 0..1_000_u64 {
+            // Rounded by a restart: nothing was learned.
+            let rounded = |value: f32| value * (1.0 + (day % 2) as f32 * f32::EPSILON);
             let header = BudgetHeader {
                 sent_ns: 1_000 + day,
                 sent_unix_ns: (20_000 + day) * 86_400_000_000_000,
@@ -511,7 +518,7 @@ pub(crate) mod tests {
                 soc_hi: 1.0,
                 stamp_ns: day + 1,
                 // It is learned every fifth day, and falls.
-                capacity_j: 36_000.0 - (day / 5) as f32,
+                capacity_j: rounded(36_000.0 - (2 * (day / 5)) as f32),
                 capacity_sd_j: 900.0,
                 capacity_weight: 2.0,
                 charge_rate: [400; joulebus_wire::CHARGE_TENTHS],
@@ -523,12 +530,13 @@ pub(crate) mod tests {
         let read: Checkpoint = serde_json::from_str(&text).unwrap();
         assert_eq!(read, ledger);
         let months = &read.capacities[&3];
-        assert_eq!((months.len(), months[MONTHS - 1].capacity_j), (MONTHS, 36_000.0 - 199.0));
+        let newest_j = 36_000.0 - 398.0;
+        assert!((months[MONTHS - 1].capacity_j - newest_j).abs() < 0.1, "{months:?}");
+        assert_eq!(months.len(), MONTHS);
         assert_eq!(months[MONTHS - 1].unix_s, (20_000 + 995) * 86_400);
         assert!(months.is_sorted_by(|one, next| one.month() < next.month()), "{months:?}");
         let lessons = read.ledgers()[0].battery.unwrap().lessons();
         assert_eq!(Some(lessons), ledger.robots[&3].lessons);
-        assert_eq!(lessons.capacity_j(), (36_000.0 - 199.0, 900.0));
     }
 
     #[test]
