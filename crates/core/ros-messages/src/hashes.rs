@@ -1,10 +1,14 @@
 //! Hashes of definitions (REP 2011, `RIHS01`), as ROS 2 has them since Iron.
 
 /// Types, and the hashes of their definitions.
-const HASHES: [(&str, &str); 10] = [
+const HASHES: [(&str, &str); 12] = [
     (
         "sensor_msgs/msg/BatteryState",
         "4bee5dfce981c98faa6828b868307a0a73f992ed0789f374ee96c8f840e69741",
+    ),
+    (
+        "spot_msgs/msg/BatteryStateArray",
+        "5d85b5a60b6c7d65449204eb9ec85de487bf67a71009b4b862f2009a744972cc",
     ),
     ("geometry_msgs/msg/Twist", "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
     (
@@ -14,6 +18,7 @@ const HASHES: [(&str, &str); 10] = [
     ("nav_msgs/msg/Odometry", "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
     ("rosgraph_msgs/msg/Clock", "692f7a66e93a3c83e71765d033b60349ba68023a8c689a79e48078bcb5c58564"),
     ("std_msgs/msg/Float64", "705ba9c3d1a09df43737eb67095534de36fd426c0587779bda2bc51fe790182a"),
+    ("std_msgs/msg/Bool", "feb91e995ff9ebd09c0cb3d2aed18b11077585839fb5db80193b62d74528f6c9"),
     (
         "diagnostic_msgs/msg/DiagnosticArray",
         "5a8a36efb05fb25070fa0fb3810290c0e6cd4862b54a8fb975a1ee8dc55a333e",

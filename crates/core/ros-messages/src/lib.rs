@@ -184,17 +184,84 @@ pub struct BatteryState {
     pub serial_number: String,
 }
 
+/// `spot_msgs/BatteryState`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SpotBattery {
+    /// Measurement time.
+    pub header: Header,
+    /// The battery's name.
+    pub identifier: String,
+    /// State of charge, %.
+    pub charge_percentage: f64,
+    /// Time until it is empty.
+    pub estimated_runtime: Time,
+    /// Current, A. Negative while discharging.
+    pub current: f64,
+    /// Voltage, V.
+    pub voltage: f64,
+    /// °C.
+    pub temperatures: Vec<f64>,
+    /// 0 unknown, 1 missing, 2 charging, 3 discharging, 4 booting.
+    pub status: u8,
+}
+
+/// `spot_msgs/BatteryStateArray`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct BatteryStateArray {
+    pub battery_states: Vec<SpotBattery>,
+}
+
+impl BatteryStateArray {
+    /// The packs, as `sensor_msgs` has them.
+    pub fn packs(&self) -> impl Iterator<Item = BatteryState> + '_ {
+        self.battery_states.iter().map(|pack| BatteryState {
+            header: pack.header.clone(),
+            voltage: pack.voltage as f32,
+            temperature: f32::NAN,
+            current: pack.current as f32,
+            charge: f32::NAN,
+            capacity: f32::NAN,
+            design_capacity: f32::NAN,
+            percentage: (pack.charge_percentage / 100.0) as f32,
+            power_supply_status: match pack.status {
+                2 => 1,
+                3 => 2,
+                _ => 0,
+            },
+            power_supply_health: 0,
+            power_supply_technology: 0,
+            present: pack.status != 1,
+            cell_voltage: Vec::new(),
+            cell_temperature: Vec::new(),
+            location: String::new(),
+            serial_number: pack.identifier.clone(),
+        })
+    }
+}
+
+/// `std_msgs/Bool`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "named as in the definition")]
+pub struct Bool {
+    pub data: bool,
+}
+
 /// A supported message type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RosType {
     /// [`BatteryState`].
     BatteryState,
+    /// [`BatteryStateArray`].
+    BatteryStateArray,
     /// [`Twist`].
     Twist,
     /// [`TwistStamped`].
     TwistStamped,
     /// [`Odometry`].
     Odometry,
+    /// [`Bool`].
+    Bool,
 }
 
 /// A decoded message.
@@ -203,9 +270,11 @@ pub enum RosType {
 #[expect(missing_docs, reason = "named as their types")]
 pub enum Message {
     BatteryState(Box<BatteryState>),
+    BatteryStateArray(BatteryStateArray),
     Twist(Twist),
     TwistStamped(TwistStamped),
     Odometry(Box<Odometry>),
+    Bool(Bool),
 }
 
 /// Errors of decoding a channel or a message.
@@ -216,7 +285,8 @@ pub enum RosError {
     /// An unsupported type.
     #[error(
         "type {found:?}, supported are sensor_msgs/msg/BatteryState, geometry_msgs/msg/Twist, \
-         geometry_msgs/msg/TwistStamped and nav_msgs/msg/Odometry"
+         geometry_msgs/msg/TwistStamped, nav_msgs/msg/Odometry, std_msgs/msg/Bool and \
+         spot_msgs/msg/BatteryStateArray"
     )]
     Type { found: String },
     /// Another encoding of messages or definitions.
@@ -268,9 +338,11 @@ impl RosType {
     fn named(type_name: &str) -> Option<Self> {
         Some(match type_name.replacen("/msg/", "/", 1).as_str() {
             "sensor_msgs/BatteryState" => Self::BatteryState,
+            "spot_msgs/BatteryStateArray" => Self::BatteryStateArray,
             "geometry_msgs/Twist" => Self::Twist,
             "geometry_msgs/TwistStamped" => Self::TwistStamped,
             "nav_msgs/Odometry" => Self::Odometry,
+            "std_msgs/Bool" => Self::Bool,
             _ => return None,
         })
     }
@@ -282,9 +354,11 @@ impl RosType {
     pub fn decode(self, data: &[u8]) -> Result<Message, RosError> {
         Ok(match self {
             Self::BatteryState => Message::BatteryState(Box::new(decode(data)?)),
+            Self::BatteryStateArray => Message::BatteryStateArray(decode(data)?),
             Self::Twist => Message::Twist(decode(data)?),
             Self::TwistStamped => Message::TwistStamped(decode(data)?),
             Self::Odometry => Message::Odometry(Box::new(decode(data)?)),
+            Self::Bool => Message::Bool(decode(data)?),
         })
     }
 
@@ -319,6 +393,24 @@ impl RosType {
                 ),
                 HEADER,
             ],
+            Self::BatteryStateArray => &[
+                ("BatteryStateArray", &["BatteryState[] battery_states"]),
+                (
+                    "BatteryState",
+                    &[
+                        "Header header",
+                        "string identifier",
+                        "float64 charge_percentage",
+                        "Duration estimated_runtime",
+                        "float64 current",
+                        "float64 voltage",
+                        "float64[] temperatures",
+                        "uint8 status",
+                    ],
+                ),
+                HEADER,
+            ],
+            Self::Bool => &[("Bool", &["bool data"])],
             Self::Twist => &[TWIST, VECTOR],
             Self::TwistStamped => {
                 &[("TwistStamped", &["Header header", "Twist twist"]), HEADER, TWIST, VECTOR]

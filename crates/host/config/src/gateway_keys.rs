@@ -102,6 +102,8 @@ pub(crate) const BRIDGE: &[Key] = &[
     bridge("ros2.read.percentage_unit", UNIT, "", Unset, "Unit of a battery's percentage: share, or % for drivers that count to 100."),
     bridge("ros2.read.power_of", POWER_OF, "", Unset, "What voltage times current is. Without it battery."),
     bridge("ros2.read.power_of_current", ValueKind::Flag, "", Unset, "Whether voltage times current is read. Without it true."),
+    bridge("ros2.read.says", ValueKind::Choice(&["off", "swapped"]), "", Unset, "Of a std_msgs/msg/Bool: the robot is switched off, or its battery was exchanged."),
+    bridge("ros2.read.pack_wh", num(0.001..=1e9), "Wh", Unset, "Where a robot has several packs: the energy of this one from full to empty. Topics with it are summed."),
     bridge("ros2.write.what", ValueKind::Choice(&["forecast", "budget", "outlook", "value", "diagnostics"]), "", Required, "What is written."),
     bridge("ros2.write.topic", TOPIC, "", Unset, "Topic to write. Without it the usual topic."),
     bridge("ros2.write.every_s", EVERY_S, "s", Number(1.0), "Time between two messages."),

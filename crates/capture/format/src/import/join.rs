@@ -6,8 +6,8 @@ use mcap::records::MessageHeader;
 
 use super::mapping::{CurrentSign, Expired, Mapping, RobotMapping, TimeSource};
 use joulebus_plausibility::{
-    CurrentMonitor, Field, Mapped, Observation, PowerOf, SOC, Said, StampState, Stamps,
-    SupplyStatus, is_charge,
+    CurrentMonitor, Field, Mapped, Observation, Packed, Packs, PowerOf, SOC, Said, StampState,
+    Stamps, SupplyStatus, is_charge, whole,
 };
 use joulebus_ros_messages::{BatteryState, Header, Message, Odometry, RosType, Twist};
 
@@ -60,6 +60,9 @@ struct Times {
 const SET_BACK_NS: u64 = 1_000_000_000;
 /// Difference of two clocks beyond which they must not be mixed, s.
 const MAX_OFFSET_S: f64 = 0.1;
+
+/// Time for which a pack's reading counts for the sum, ns: a bridge's `reading_holds_s`.
+const PACK_HOLDS_NS: u64 = 2_000_000_000;
 
 /// Frames of a battery's messages that are named.
 const MAX_FRAMES: usize = 8;
@@ -173,6 +176,9 @@ pub(super) struct Track {
     charging: u64,
     /// The frames that its messages name: each publisher has its own.
     frames: Vec<String>,
+    packs: Packs,
+    /// Messages of a pack while another one is missing.
+    without_pack: u64,
     /// Whether −1 A is a reading of this battery's monitor.
     monitor: CurrentMonitor,
     /// Readings whose state of charge is no share, and those of them that could be percentages.
@@ -197,7 +203,12 @@ impl Track {
     pub(super) fn new(robot: RobotMapping, mapping: &Mapping) -> Self {
         // The range is checked when the mapping is loaded.
         let ns = |seconds: f64| (seconds * 1e9).round() as u64;
+        let packs = robot.packs.iter().map(|pack| pack.wh);
         Self {
+            packs: Packs::new(
+                std::iter::once(robot.battery_wh.unwrap_or(1.0)).chain(packs).collect(),
+            ),
+            without_pack: 0,
             robot,
             burst_ns: ns(mapping.burst_s),
             odometry_age_ns: ns(mapping.odometry_max_age_s),
@@ -236,14 +247,17 @@ impl Track {
     }
 
     pub(super) fn take(&mut self, topic: &str, kind: RosType, header: &MessageHeader, data: &[u8]) {
-        let RobotMapping { battery, command, odometry, .. } = &self.robot;
-        let named = [Some(battery), command.as_ref(), odometry.as_ref()];
-        let named = named.map(|name| name.is_some_and(|name| name == topic));
+        let pack = self.robot.batteries().position(|battery| battery == topic);
+        let RobotMapping { command, odometry, .. } = &self.robot;
+        let is = |name: &Option<String>| name.as_deref() == Some(topic);
+        let named = [pack.is_some(), is(command), is(odometry)];
         // Channels of several kinds may share a topic: the kind decides, if it fits.
         let of_kind = match kind {
-            RosType::BatteryState => 0,
+            RosType::BatteryState | RosType::BatteryStateArray => 0,
             RosType::Twist | RosType::TwistStamped => 1,
             RosType::Odometry => 2,
+            // It would be of a bridge.
+            RosType::Bool => return,
         };
         let first = named.iter().position(|is_named| *is_named);
         let Some(lane) = Some(of_kind).filter(|of| named[*of]).or(first) else {
@@ -261,7 +275,14 @@ impl Track {
             run,
         };
         match kind.decode(data) {
-            Ok(Message::BatteryState(state)) => self.reading(times(Some(&state.header)), &state),
+            Ok(Message::BatteryState(state)) => {
+                self.reading(times(Some(&state.header)), &[*state], pack.unwrap_or_default());
+            }
+            Ok(Message::BatteryStateArray(array)) => {
+                let states: Vec<BatteryState> = array.packs().collect();
+                let header = states.first().map(|state| &state.header);
+                self.reading(times(header), &states, pack.unwrap_or_default());
+            }
             Ok(Message::Twist(twist)) => self.twist(times(None), &twist),
             Ok(Message::TwistStamped(stamped)) => {
                 self.twist(times(Some(&stamped.header)), &stamped.twist);
@@ -269,6 +290,8 @@ impl Track {
             Ok(Message::Odometry(odometry)) => {
                 self.motion(times(Some(&odometry.header)), &odometry);
             }
+            // It would be of a bridge.
+            Ok(Message::Bool(_)) => {}
             Err(error) => self.refuse(lane, error.to_string()),
         }
     }
@@ -286,32 +309,51 @@ impl Track {
         *self.lane(lane).1.entry(why).or_default() += 1;
     }
 
-    fn reading(&mut self, times: Times, state: &BatteryState) {
+    fn map(&self, state: &BatteryState) -> Mapped {
         let sign = match self.robot.current {
             CurrentSign::DischargeNegative => -1.0,
             CurrentSign::DischargePositive => 1.0,
         };
-        let charging =
-            SupplyStatus::new(state.power_supply_status).and_then(SupplyStatus::charging);
         let said = Said {
             written_a: state.current.into(),
             product_of: Some(PowerOf::Battery),
             present: Some(state.present),
-            charging,
+            charging: SupplyStatus::new(state.power_supply_status).and_then(SupplyStatus::charging),
             ..Said::default()
         };
         let said = said
             .with(Field::Voltage, f64::from(state.voltage) * self.robot.voltage_unit_v)
             .with(Field::Current, sign * f64::from(state.current) * self.robot.current_unit_a)
             .with(Field::Soc, state.percentage.into());
-        let Mapped { seen, is_reserved, .. } = said.map(|_, _| {});
-        let Observation { voltage_v, current_a, soc, .. } = seen;
-        if !state.present && voltage_v.is_nan() {
+        said.map(|_, _| {})
+    }
+
+    /// Takes a battery's packs in one message: mostly one.
+    fn reading(&mut self, times: Times, states: &[BatteryState], pack: usize) {
+        let packs: Vec<Mapped> = states.iter().map(|state| self.map(state)).collect();
+        let (Some(state), Some(first)) = (states.first(), packs.first()) else {
+            return self.battery.refuse("it has no battery");
+        };
+        let mut mapped = match packs.len() {
+            1 => *first,
+            count => whole(&vec![1.0; count], &packs),
+        };
+        let voltage_v = mapped.seen.voltage_v;
+        if states.iter().any(|state| !state.present) && voltage_v.is_nan() {
             return self.battery.refuse("it reports that there is no battery (`present` is false)");
         }
-        if voltage_v.is_nan() || current_a.is_nan() {
+        if voltage_v.is_nan() || mapped.seen.current_a.is_nan() {
             return self.battery.refuse("its voltage or current is not a number");
         }
+        if !self.robot.packs.is_empty() {
+            mapped = match self.packs.take(pack, mapped, times.log_ns, PACK_HOLDS_NS) {
+                Packed::Whole(whole) => whole,
+                Packed::Waits => return,
+                Packed::Missing(_) => return self.without_pack += 1,
+            };
+        }
+        let Mapped { seen, is_reserved, .. } = mapped;
+        let Observation { voltage_v, current_a, soc, charging, .. } = seen;
         // The number as the driver wrote it: its unit does not matter here.
         let as_written = f64::from(state.current);
         self.monitor.take(&Observation { current_a: as_written, ..Observation::at(0.0) });
@@ -539,7 +581,15 @@ impl Track {
                 &format!("have current flowing into the battery: check whether it is {remedy}"),
             );
         }
-        if self.frames.len() > 1 {
+        if !self.robot.packs.is_empty() {
+            notes.push(format!(
+                "{} packs are summed. Each reading has a new one of every pack ({} messages came \
+                 while another pack was missing)",
+                1 + self.robot.packs.len(),
+                self.without_pack
+            ));
+        }
+        if self.frames.len() > 1 && self.robot.packs.is_empty() {
             let frames: Vec<String> =
                 self.frames.iter().map(|frame| format!("{frame:?}")).collect();
             notes.push(format!(

@@ -50,6 +50,12 @@ pub struct RobotMapping {
     pub id: Option<u32>,
     /// Topic of its `BatteryState`.
     pub battery: String,
+    /// Where it has several packs: the energy of this one from full to empty, Wh.
+    #[serde(default)]
+    pub battery_wh: Option<f64>,
+    /// Its other packs. All of them are summed.
+    #[serde(default)]
+    pub packs: Vec<PackMapping>,
     /// True if its command and odometry are looked for, as those of robots that no mapping names.
     #[serde(skip)]
     pub is_searched: bool,
@@ -68,6 +74,24 @@ pub struct RobotMapping {
     /// Unit of its current, A: 0.001 for milliamperes.
     #[serde(default = "one")]
     pub current_unit_a: f64,
+}
+
+/// A further pack of a robot.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PackMapping {
+    /// Topic of its `BatteryState`.
+    pub topic: String,
+    /// Its energy from full to empty, Wh.
+    pub wh: f64,
+}
+
+impl RobotMapping {
+    /// Topics of its packs.
+    pub(super) fn batteries(&self) -> impl Iterator<Item = &str> {
+        let packs = self.packs.iter().map(|pack| pack.topic.as_str());
+        std::iter::once(self.battery.as_str()).chain(packs)
+    }
 }
 
 const fn one() -> f64 {
@@ -175,9 +199,15 @@ impl Mapping {
             check(key.to_owned(), found, (0.0, 3600.0), "0 to 3600 s")?;
         }
         for robot in &self.robots {
-            for (key, found) in
-                [("voltage_unit_v", robot.voltage_unit_v), ("current_unit_a", robot.current_unit_a)]
-            {
+            let units = [
+                ("voltage_unit_v", robot.voltage_unit_v),
+                ("current_unit_a", robot.current_unit_a),
+            ];
+            // A robot with packs has the energy of each.
+            let first = (!robot.packs.is_empty() || robot.battery_wh.is_some())
+                .then(|| ("battery_wh", robot.battery_wh.unwrap_or(f64::NAN)));
+            let packs = robot.packs.iter().map(|pack| ("packs.wh", pack.wh));
+            for (key, found) in units.into_iter().chain(first).chain(packs) {
                 let key = format!("robot {:?}: {key}", robot.name);
                 check(key, found, (1e-9, 1e9), "1e-9 to 1e9")?;
             }
@@ -212,6 +242,8 @@ pub(super) fn choose(
             name: robot_name(battery, channels).unwrap_or(name).to_owned(),
             id: None,
             battery: (*battery).to_owned(),
+            battery_wh: None,
+            packs: Vec::new(),
             is_searched: true,
             command: search.command(battery)?,
             odometry: search.odometry(battery)?,
@@ -232,6 +264,8 @@ pub(super) fn choose(
     Ok(robots)
 }
 
+/// Types of the messages of a battery.
+const BATTERIES: [RosType; 2] = [RosType::BatteryState, RosType::BatteryStateArray];
 /// Namespaces of the parts of a robot.
 const PARTS: [&str; 6] = ["batter", "bms", "power", "base", "platform", "driver"];
 
@@ -315,7 +349,7 @@ impl<'a> Search<'a> {
             topics
         };
         Self {
-            batteries: of_kind(&[RosType::BatteryState]),
+            batteries: of_kind(&BATTERIES),
             commands: of_kind(&[RosType::Twist, RosType::TwistStamped]),
             odometries: of_kind(&[RosType::Odometry]),
         }
@@ -393,7 +427,9 @@ fn check_topics(robot: &RobotMapping, channels: &[Channel]) -> Result<(), Import
         };
         Err(ImportError::Robots(format!("topic {topic:?}: {why}")))
     };
-    check(&robot.battery, &[RosType::BatteryState])?;
+    for battery in robot.batteries() {
+        check(battery, &BATTERIES)?;
+    }
     if let Some(command) = &robot.command {
         check(command, &[RosType::Twist, RosType::TwistStamped])?;
     }

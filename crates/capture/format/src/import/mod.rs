@@ -21,7 +21,9 @@ pub use error::ImportError;
 pub use join::Row;
 use joulebus_ros_messages::RosType;
 
-pub use mapping::{CurrentSign, Expired, Mapping, MappingError, RobotMapping, TimeSource};
+pub use mapping::{
+    CurrentSign, Expired, Mapping, MappingError, PackMapping, RobotMapping, TimeSource,
+};
 pub use report::{Imported, RobotReport, TopicReport, Unusable};
 
 /// Reads a recording.
@@ -59,7 +61,8 @@ pub fn import_files(
         let batteries: Vec<&str> = batteries.map(|robot| robot.battery.as_str()).collect();
         return Err(ImportError::Robots(format!(
             "two robots named {name:?}, with the batteries {}. Choose the one of its power with \
-             --battery, or give them different names in a mapping file",
+             --battery, sum them as `packs` of one robot in a mapping file, or give them different \
+             names there",
             batteries.join(", ")
         )));
     }

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::channel::Channel;
 use super::join::{Row, Track};
 use super::mapping::{CurrentSign, TimeSource};
-use joulebus_ros_messages::RosError;
+use joulebus_ros_messages::{RosError, RosType};
 
 /// Messages of a topic, used and refused.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -102,14 +102,14 @@ pub(super) fn imported(tracks: Vec<Track>, channels: &[Channel], damage: Vec<Str
         .iter()
         .flat_map(|track| {
             let robot = &track.robot;
-            [Some(robot.battery.clone()), robot.command.clone(), robot.odometry.clone()]
+            let others = [&robot.command, &robot.odometry].into_iter().flatten().cloned();
+            robot.batteries().map(str::to_owned).chain(others).collect::<Vec<_>>()
         })
-        .flatten()
         .collect();
     for channel in channels {
         let why = match &channel.kind {
             _ if used.contains(&channel.topic) => continue,
-            Err(RosError::Type { .. }) => {
+            Err(RosError::Type { .. }) | Ok(RosType::Bool) => {
                 *others.entry(channel.type_name.clone()).or_default() += channel.messages;
                 continue;
             }
@@ -131,6 +131,7 @@ pub(super) fn imported(tracks: Vec<Track>, channels: &[Channel], damage: Vec<Str
 fn robot(mut track: Track) -> RobotReport {
     let joined = track.join();
     let Track { robot, battery, command, odometry, .. } = track;
+    let batteries = robot.batteries().collect::<Vec<_>>().join(" + ");
     let time = match joined.clock {
         TimeSource::Header => "header",
         TimeSource::Auto | TimeSource::Log => "log",
@@ -141,7 +142,7 @@ fn robot(mut track: Track) -> RobotReport {
         name: robot.name,
         id: robot.id,
         time,
-        battery: topic(robot.battery, battery.messages, battery.refused),
+        battery: topic(batteries, battery.messages, battery.refused),
         command: robot.command.map(|name| topic(name, command.messages, command.refused)),
         odometry: robot.odometry.map(|name| topic(name, odometry.messages, odometry.refused)),
         is_turned: robot.current == CurrentSign::DischargeNegative,

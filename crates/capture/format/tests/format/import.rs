@@ -8,7 +8,7 @@ use crate::bag::{BATTERY, Bag, battery, header, odometry, twist};
 use byteorder::{BigEndian, LittleEndian};
 use cdr_encoding::to_vec;
 use joulebus_capture_format::import::{Mapping, RobotReport, import};
-use joulebus_ros_messages::TwistStamped;
+use joulebus_ros_messages::{BatteryState, TwistStamped};
 use joulebus_testkit::assert_contains;
 use joulebus_testkit::recordings::shared;
 
@@ -609,5 +609,45 @@ fn what_is_charged_or_not_measured_is_no_power() {
         assert_eq!(known(&robot), (expected, expected), "{why}");
         let notes = robot.notes.join("\n");
         assert_eq!(notes.contains("a current of exactly −1"), expected < 60, "{why}: {notes}");
+    }
+}
+
+#[test]
+fn packs_of_one_robot_are_summed_and_a_part_is_named() {
+    let topics = ["/r/left/battery", "/r/right/battery"];
+    let bag = || {
+        let mut bag = bag_of(&topics, &["/r/cmd_vel"]);
+        // The right one goes on alone, and is then joined by the left one again.
+        for step in (5..60).filter(|step| step % 5 == 0) {
+            let now_ns = START_NS + step * TENTH_NS;
+            bag.message(topics[1], now_ns, &battery(now_ns, 14.0, -1.5));
+            if step == 55 {
+                let charged = BatteryState { percentage: 0.75, ..battery(now_ns, 10.0, -0.5) };
+                bag.message(topics[0], now_ns, &charged);
+            }
+        }
+        bag
+    };
+    let mapping = "[[robot]]\nname = \"r\"\nbattery = \"/r/left/battery\"\nbattery_wh = 100\n\
+        packs = [{ topic = \"/r/right/battery\", wh = 300 }]\ncommand = \"/r/cmd_vel\"";
+    let imported = bag().import(mapping).unwrap();
+    let robot = &imported.robots[0];
+    assert_eq!((robot.rows.len(), robot.battery.messages, imported.unusable.len()), (6, 22, 0));
+    assert_eq!(robot.battery.topic, "/r/left/battery + /r/right/battery");
+    let (first, last) = (&robot.rows[0], &robot.rows[5]);
+    assert_eq!(
+        (first.power_w, first.voltage_v, first.current_a, first.soc),
+        (10.0, 10.0, 1.0, 0.5)
+    );
+    assert_eq!((last.power_w, last.voltage_v, last.soc), (26.0, 12.0, 0.5625));
+    assert_contains(&robot.notes.join("\n"), ["2 packs are summed", "(7 messages came"]);
+    // Without a mapping no part passes for a robot.
+    assert_contains(&bag().import("").unwrap_err(), topics.iter().chain(&["packs"]));
+    for (from, to, expected) in [
+        ("battery_wh = 100\n", "", "battery_wh: found NaN"),
+        ("wh = 300", "wh = -1", "packs.wh: found -1"),
+    ] {
+        let refused = mapping.replacen(from, to, 1).parse::<Mapping>().unwrap_err().to_string();
+        assert_contains(&refused, [expected, "1e-9 to 1e9"]);
     }
 }

@@ -9,7 +9,7 @@ mod tls;
 use std::time::Duration;
 
 use joulebus_config::{CheckedFile, Config, ConfigError, Section};
-use joulebus_plausibility::{Kind, Source};
+use joulebus_plausibility::{Kind, Packs, Source};
 use joulebus_publisher::Judgement;
 
 use crate::config::check::Check;
@@ -100,7 +100,10 @@ impl Settings {
         let routes = self.mqtt.iter().flat_map(|mqtt| &mqtt.routes);
         let names = routes.flat_map(|route| route.fields.named()).collect();
         let judgement = Judgement::new(Source::Bridge, self.accepted.clone()).named(names);
-        Intake::new(self.holds, self.reports_charging(), robots).judged_by(judgement)
+        let packs_wh = self.ros2.iter().flat_map(|ros2| ros2.packs_wh.clone()).collect();
+        Intake::new(self.holds, self.reports_charging(), robots)
+            .judged_by(judgement)
+            .with_packs(Packs::new(packs_wh))
     }
 
     /// True if MQTT messages report that a robot charges. ROS 2 messages with a battery's power
@@ -295,8 +298,14 @@ mod tests {
             /{fleet}/{robot}/battery | /+/{robot} | 8 | wildcard
             lifter = 7 | lif-ter = 7 | 8 | /lab/lif-ter/battery
             BatteryState | Batteries | 9 | nav_msgs/msg/Odometry
-            "sensor_msgs/msg/BatteryState" | "geometry_msgs/msg/Twist"\npower_of = "load" | 9 | no current
+            "sensor_msgs/msg/BatteryState" | "geometry_msgs/msg/Twist"\npower_of = "load" | 9 | no such current
             BatteryState" | BatteryState"\npercentage_unit = "W" | 10 | share, %
+            BatteryState" | BatteryState"\npack_wh = 240 | 4 | 1 of 1 batteries have pack_wh
+            BatteryState" | BatteryState"\npack_wh = 240\n[[ros2.read]]\ntopic = "/{robot}/b"\ntype = "sensor_msgs/msg/BatteryState" | 4 | 1 of 2 batteries
+            BatteryState" | BatteryState"\nsays = "off" | 9 | goes with `says`
+            sensor_msgs/msg/BatteryState | std_msgs/msg/Bool | 9 | goes with `says`
+            sensor_msgs/msg/BatteryState" | spot_msgs/msg/BatteryStateArray"\npercentage_unit = "%" | 9 | no such current
+            BatteryState" | BatteryState"\npack_wh = -1 | 10 | 0.001 to
             power_w | watt | 12 | is no value
             "power_w" | "name" | 12 | is no number
             "mW" | "mA" | 13 | allowed are W

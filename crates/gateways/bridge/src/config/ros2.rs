@@ -30,6 +30,8 @@ pub(crate) struct Ros2Settings {
     /// Addresses of this host to use. Empty: all.
     pub(crate) networks: Vec<Ipv4Addr>,
     pub(crate) routes: Vec<RosRoute>,
+    /// Energies of the packs that each robot has, Wh. Empty: it has one battery.
+    pub(crate) packs_wh: Vec<f64>,
     pub(crate) writes: Vec<RosWrite>,
     /// True if samples have the time of a simulation.
     pub(crate) use_sim_time: bool,
@@ -58,8 +60,17 @@ impl Check<'_> {
             .iter()
             .filter_map(|network| self.checked(network, network.parse::<Ipv4Addr>()));
         let networks = networks.collect();
-        let routes: Vec<RosRoute> =
-            section.list("read").filter_map(|read| self.ros_route(&read, robots)).collect();
+        let mut packs_wh = Vec::new();
+        let routes: Vec<RosRoute> = section
+            .list("read")
+            .filter_map(|read| self.ros_route(&read, robots, &mut packs_wh))
+            .collect();
+        let batteries = routes.iter().filter(|route| route.is_battery()).count();
+        if packs_wh.len() == 1 || !packs_wh.is_empty() && packs_wh.len() != batteries {
+            let what = format!("{} of {batteries} batteries have pack_wh", packs_wh.len());
+            let remedy = "Give it to all packs of a robot, and to no single battery";
+            self.add(section.problem("", what, remedy));
+        }
         let writes: Vec<RosWrite> =
             section.list("write").filter_map(|write| self.ros_write(&write, robots)).collect();
         self.apart(section, (&routes, &writes), robots);
@@ -79,7 +90,7 @@ impl Check<'_> {
             self.add(section.problem("", what, "Add [[ros2.read]] or [[ros2.write]]"));
         }
         let use_sim_time = section.flag("use_sim_time").unwrap_or_default();
-        Some(Ros2Settings { domain_id, networks, routes, writes, use_sim_time, services })
+        Some(Ros2Settings { domain_id, networks, routes, packs_wh, writes, use_sim_time, services })
     }
 
     /// The name of a service, if the file has it.
@@ -104,16 +115,31 @@ impl Check<'_> {
         })
     }
 
-    fn ros_route(&mut self, section: &Section<'_>, robots: &Robots) -> Option<RosRoute> {
+    fn ros_route(
+        &mut self,
+        section: &Section<'_>,
+        robots: &Robots,
+        packs_wh: &mut Vec<f64>,
+    ) -> Option<RosRoute> {
         let name = section.text("topic")?;
         let topic = self.ros_topic(&name, &name, (true, robots))?;
         let pattern = self.checked(&name, Pattern::parse(&name.replace("{fleet}", self.fleet)))?;
         let kind = section.text("type")?;
         let ros_type = self.checked(&kind, read_type(&kind))?;
-        let of_battery = ["current", "percentage_unit", "power_of", "power_of_current"];
+        // An array states its own unit, and has all packs.
+        let of_battery = ["percentage_unit", "pack_wh", "current", "power_of", "power_of_current"];
+        let refused = match ros_type {
+            RosType::BatteryState => &[][..],
+            RosType::BatteryStateArray => &of_battery[..2],
+            _ => &of_battery,
+        };
+        let fits = !refused.iter().any(|key| section.has(key));
+        let fits = fits.then_some(()).ok_or("has no such current, percentage, power or pack");
+        self.checked(&kind, fits)?;
+        let says = section.word("says");
+        let fits = says.is_some() == (ros_type == RosType::Bool);
         let fits =
-            ros_type == RosType::BatteryState || !of_battery.iter().any(|key| section.has(key));
-        let fits = fits.then_some(()).ok_or("has no current, percentage or power");
+            fits.then_some(()).ok_or("goes with `says`: a truth value that is off or swapped");
         self.checked(&kind, fits)?;
         let power_of = section.word("power_of").unwrap_or(PowerOf::Battery);
         let current = section.text("current");
@@ -124,8 +150,12 @@ impl Check<'_> {
                 Some(unit) => self.checked(&unit, Quantity::Share.unit(&unit))?,
             },
             power_of: section.flag("power_of_current").unwrap_or(true).then_some(power_of),
+            pack: section.number("pack_wh").map(|pack_wh| {
+                packs_wh.push(pack_wh);
+                packs_wh.len() - 1
+            }),
         };
-        Some(RosRoute { name: name.to_string(), topic, pattern, kind: ros_type, battery })
+        Some(RosRoute { name: name.to_string(), topic, pattern, kind: ros_type, battery, says })
     }
 
     /// Checks a pattern that yields a valid ROS 2 topic for every robot.

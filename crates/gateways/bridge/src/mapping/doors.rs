@@ -191,7 +191,9 @@ fn message(
                     discharge_is_positive: false,
                     percentage: Quantity::Share.si(),
                     power_of: Some(PowerOf::Battery),
+                    pack: None,
                 },
+                says: None,
             };
             let state = BatteryState {
                 header: Header {

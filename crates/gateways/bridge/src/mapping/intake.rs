@@ -22,13 +22,17 @@
 //!   out until its next message.
 //! - A battery is exchanged where a message says so and the one before did not, or where it is there
 //!   again after it was missing for longer than `silent_after_s`.
+//! - Packs of one robot are summed. A pack without a reading for `reading_holds_s` makes the battery
+//!   unknown.
 //! - A robot without any message for `silent_after_s` is left out of the frame, and the worker
 //!   reports that.
 
 use std::collections::BTreeMap;
 
 use joulebus_plausibility as plausibility;
-use joulebus_plausibility::{ChargerWatch, CurrentMonitor, Expired, Source, is_charge};
+use joulebus_plausibility::{
+    ChargerWatch, CurrentMonitor, Expired, Packed, Packs, Source, is_charge,
+};
 use joulebus_publisher::{Charger, Judgement, RobotState};
 use joulebus_settings::ChargeReading;
 
@@ -102,6 +106,9 @@ pub(crate) struct Intake {
     holds: Holds,
     reports_charging: bool,
     robots: BTreeMap<u32, Robot>,
+    /// The packs that each robot has, and what is known of them.
+    packs: Packs,
+    packs_of: BTreeMap<u32, Packs>,
     observations: u64,
     judgement: Judgement,
 }
@@ -119,6 +126,8 @@ impl Intake {
             holds,
             reports_charging,
             robots: robots.into_iter().map(robot).collect(),
+            packs: Packs::new(Vec::new()),
+            packs_of: BTreeMap::new(),
             observations: 0,
             judgement: Judgement::new(Source::Bridge, Vec::new()),
         }
@@ -129,20 +138,41 @@ impl Intake {
         Self { judgement, ..self }
     }
 
+    /// With several packs of each robot.
+    #[must_use]
+    pub(crate) fn with_packs(self, packs: Packs) -> Self {
+        Self { packs, ..self }
+    }
+
     pub(crate) const fn judgement(&mut self) -> &mut Judgement {
         &mut self.judgement
     }
 
     /// Forgets what was observed: the simulation has begun anew.
     pub(crate) fn forget(&mut self) {
+        self.packs_of.clear();
         for robot in self.robots.values_mut() {
             *robot = Robot::new(robot.charge_reading, self.reports_charging);
         }
     }
 
     /// Adds an observation of a robot made at `at_ns` (monotonic). A robot that the mapping does
-    /// not have is ignored.
-    pub(crate) fn take(&mut self, robot: u32, seen: &Observation, at_ns: u64) {
+    /// not have is ignored. Returns the number of a pack without which its battery is unknown.
+    pub(crate) fn take(&mut self, robot: u32, seen: &Observation, at_ns: u64) -> Option<usize> {
+        let Some((pack, mapped)) = seen.pack.filter(|_| self.robots.contains_key(&robot)) else {
+            self.take_whole(robot, seen, at_ns);
+            return None;
+        };
+        let packs = self.packs_of.entry(robot).or_insert_with(|| self.packs.clone());
+        match packs.take(pack, mapped, at_ns, self.holds.reading_ns) {
+            Packed::Whole(mapped) => self.take_whole(robot, &Observation::of(&mapped), at_ns),
+            Packed::Missing(missing) => return Some(missing),
+            Packed::Waits => {}
+        }
+        None
+    }
+
+    fn take_whole(&mut self, robot: u32, seen: &Observation, at_ns: u64) {
         let Some(known) = self.robots.get_mut(&robot).filter(|_| !seen.is_empty()) else {
             return;
         };
@@ -691,6 +721,37 @@ mod tests {
             let is_told = found.iter().any(|one| one.finding.kind == plausibility::Kind::Constant);
             assert!(!is_told, "{v_mps:?} m/s: {found:?}");
         }
+    }
+
+    #[test]
+    fn packs_make_one_battery_and_a_missing_one_leaves_none() {
+        let pack = |number: usize, ampere: f64, soc: f64| {
+            let said = plausibility::Said {
+                product_of: Some(PowerOf::Battery),
+                charging: Some(false),
+                ..plausibility::Said::default()
+            };
+            let said = said
+                .with(plausibility::Field::Voltage, 24.0)
+                .with(plausibility::Field::Current, ampere)
+                .with(plausibility::Field::Soc, soc);
+            Observation { pack: Some((number, said.map(|_, _| {}))), ..Observation::default() }
+        };
+        let mut intake =
+            intake(HOLDS, ChargeReading::Load).with_packs(Packs::new(vec![100.0, 300.0]));
+        assert_eq!(intake.take(7, &pack(0, 1.0, 0.9), 10), None);
+        assert_eq!(intake.sample(7, 15), None, "half a battery is none");
+        assert_eq!(intake.take(7, &pack(1, 2.0, 0.3), 20), None);
+        let state = intake.sample(7, 25).unwrap();
+        let found = (state.power_w, state.voltage_v, state.current_a, state.soc);
+        assert_eq!(found, (Some(72.0), Some(24.0), Some(3.0), Some(0.45)));
+        // The second falls silent: the readings expire, and it is named.
+        let missing: Vec<_> =
+            (30..200).step_by(10).map(|at_ns| intake.take(7, &pack(0, 1.0, 0.9), at_ns)).collect();
+        assert_eq!((missing[0], missing[16]), (None, Some(1)));
+        let state = intake.sample(7, 200).unwrap();
+        assert_eq!((state.power_w, state.voltage_v, state.soc), (None, None, None));
+        assert_eq!(intake.take(9, &pack(0, 1.0, 0.9), 200), None, "no robot of the mapping");
     }
 
     #[test]

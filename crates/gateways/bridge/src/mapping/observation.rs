@@ -39,6 +39,8 @@ pub(crate) struct Observation {
     pub(crate) repeats: bool,
     /// The robot says that it is gone, or its broker does.
     pub(crate) has_ended: bool,
+    /// It is of one pack of several, with its number: the sum counts.
+    pub(crate) pack: Option<(usize, Mapped)>,
 }
 
 impl Observation {

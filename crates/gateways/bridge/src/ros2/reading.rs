@@ -84,12 +84,17 @@ impl Reading {
         let simulated = self.shared.simulated().zip(stamp_ns);
         // A robot's wall clock is not this host's. A simulation has one clock.
         let at_ns = simulated.map_or(Some(now_ns), |(clock, stamp_ns)| clock.stamp_ns(stamp_ns));
-        match at_ns {
-            Some(at_ns) => self.shared.intake().take(robot, &seen, at_ns),
-            None => {
-                self.shared.account().count(&route.name, Reason::WrongStamp, name);
-                self.shared.log_news();
-            }
+        let Some(at_ns) = at_ns else {
+            self.shared.account().count(&route.name, Reason::WrongStamp, name);
+            return self.shared.log_news();
+        };
+        let missing = self.shared.intake().take(robot, &seen, at_ns);
+        if let Some(missing) = missing {
+            let mut packs = self.routes.iter().filter(|route| route.battery.pack == Some(missing));
+            let topic = packs.next().map_or_else(String::new, |route| route.topic.of(name));
+            let what = format!("battery of {name} without {topic}");
+            self.shared.account().count(&route.name, Reason::Unknown, &what);
+            self.shared.log_news();
         }
     }
 

@@ -360,7 +360,9 @@ fn in_dds(says: Says, field: &str) -> f64 {
             discharge_is_positive: false,
             percentage: Quantity::Share.si(),
             power_of: Some(PowerOf::Battery),
+            pack: None,
         },
+        says: None,
     };
     let read = route.read("r", &Received::new([0, 1], &body), &mut Account::default());
     seen(read.as_ref().map(|(seen, _)| seen), field)

@@ -96,6 +96,8 @@ impl ImportArguments {
             name: self.robot_name.clone().unwrap_or(usual),
             id: self.robot_id,
             battery: battery.to_owned(),
+            battery_wh: None,
+            packs: Vec::new(),
             is_searched: true,
             command: self.command.clone(),
             odometry: self.odometry.clone(),

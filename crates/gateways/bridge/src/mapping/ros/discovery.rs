@@ -84,7 +84,9 @@ mod tests {
                 discharge_is_positive: false,
                 percentage: Quantity::Share.si(),
                 power_of: None,
+                pack: None,
             },
+            says: None,
         }];
         let mut robots = Robots::default();
         robots.add("r{id}", "1-2").unwrap();

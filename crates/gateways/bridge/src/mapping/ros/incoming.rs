@@ -1,8 +1,9 @@
 //! Decodes a robot's ROS 2 messages. The bytes are untrusted: a message that does not fit its type
 //! is counted and changes nothing.
 
-use joulebus_plausibility::{Field, Said, SupplyStatus};
+use joulebus_plausibility::{Field, Mapped, Said, SupplyStatus, whole};
 use joulebus_ros_messages::{BatteryState, Message, RosError, RosType, Twist};
+use serde::Deserialize;
 
 use crate::mapping::account::{Account, Reason};
 use crate::mapping::observation::{Observation, PowerOf};
@@ -26,6 +27,18 @@ pub(crate) struct RosRoute {
     pub(crate) pattern: Pattern,
     pub(crate) kind: RosType,
     pub(crate) battery: BatteryFields,
+    /// What a [`RosType::Bool`] says.
+    pub(crate) says: Option<Says>,
+}
+
+/// What a truth value says of a robot.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Says {
+    /// It is switched off, until its next message.
+    Off,
+    /// Its battery was exchanged.
+    Swapped,
 }
 
 /// Convention by which a publisher fills in `sensor_msgs/BatteryState`.
@@ -36,6 +49,8 @@ pub(crate) struct BatteryFields {
     pub(crate) percentage: Unit,
     /// The flow whose power is voltage times current. `None`: not a power.
     pub(crate) power_of: Option<PowerOf>,
+    /// The number of the pack, if the robot has several.
+    pub(crate) pack: Option<usize>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -68,6 +83,11 @@ impl Received {
 }
 
 impl RosRoute {
+    /// True if its messages are of a battery.
+    pub(crate) const fn is_battery(&self) -> bool {
+        matches!(self.kind, RosType::BatteryState | RosType::BatteryStateArray)
+    }
+
     /// The observation in a message of `robot`, and the time in its header, ns, if it has one.
     /// `None` if there is no observation, which is counted.
     pub(crate) fn read(
@@ -95,6 +115,15 @@ impl RosRoute {
             Message::BatteryState(state) => {
                 (self.battery.read(state, &mut refused), Some(&state.header))
             }
+            Message::BatteryStateArray(array) => {
+                let packs = array.packs().map(|state| self.battery.map(&state, &mut refused));
+                let packs: Vec<Mapped> = packs.collect();
+                let first = array.battery_states.first().map(|pack| &pack.header);
+                // Packs of one size. An array without any says nothing.
+                let sum = whole(&vec![1.0; packs.len()], &packs);
+                let seen = first.map(|_| Observation::of(&sum));
+                (seen.unwrap_or_default(), first)
+            }
             Message::Twist(twist) => (motion(twist, &mut refused), None),
             Message::TwistStamped(stamped) => {
                 (motion(&stamped.twist, &mut refused), Some(&stamped.header))
@@ -102,12 +131,16 @@ impl RosRoute {
             Message::Odometry(odometry) => {
                 (motion(&odometry.twist.twist, &mut refused), Some(&odometry.header))
             }
+            Message::Bool(said) => (Observation::saying(self.says, said.data), None),
         };
-        if self.kind == RosType::BatteryState && self.battery.power_of.is_some() {
-            account.came(&self.name, robot, &[("power", seen.power.is_some())]);
+        if self.is_battery() && self.battery.power_of.is_some() {
+            let power_w = seen.pack.map_or(f64::NAN, |(_, mapped)| mapped.seen.power_w);
+            let has_power = seen.power.is_some() || !power_w.is_nan();
+            account.came(&self.name, robot, &[("power", has_power)]);
         }
         let is_absent = seen.removed == Some(true);
-        if seen.is_empty() || is_absent {
+        // A robot that is not off need not say so.
+        if seen.is_empty() && self.kind != RosType::Bool || is_absent {
             account.count(&self.name, Reason::Nothing, robot);
         }
         if seen.is_empty() {
@@ -117,9 +150,16 @@ impl RosRoute {
     }
 }
 
+impl Observation {
+    fn saying(says: Option<Says>, is_true: bool) -> Self {
+        let is = |which| (says == Some(which)).then_some(is_true);
+        Self { off: is(Says::Off), swapped: is(Says::Swapped), ..Self::default() }
+    }
+}
+
 impl BatteryFields {
     /// Reads a battery state. NaN means "not measured", by the message's definition.
-    fn read(&self, state: &BatteryState, refused: &mut impl FnMut(Reason, &str)) -> Observation {
+    fn map(&self, state: &BatteryState, refused: &mut impl FnMut(Reason, &str)) -> Mapped {
         let sign = if self.discharge_is_positive { 1.0 } else { -1.0 };
         let status = SupplyStatus::new(state.power_supply_status);
         let charging = status.and_then(SupplyStatus::charging);
@@ -143,14 +183,25 @@ impl BatteryFields {
         if state.present && status.is_none() {
             refused(Reason::OutOfRange, "power_supply_status");
         }
-        let mapped = said.map(|field, why| {
+        said.map(|field, why| {
             let name = match field {
                 Field::Voltage => "voltage",
                 Field::Current => "current",
                 _ => "percentage",
             };
             refused(why.into(), name);
-        });
+        })
+    }
+
+    fn read(&self, state: &BatteryState, refused: &mut impl FnMut(Reason, &str)) -> Observation {
+        let mapped = self.map(state, refused);
+        if let Some(pack) = self.pack {
+            if mapped.seen.voltage_v.is_nan() {
+                refused(Reason::Unknown, "pack");
+            }
+            // One pack that is taken out is no exchange of the battery.
+            return Observation { pack: Some((pack, mapped)), ..Observation::default() };
+        }
         // Many drivers leave it false, and a battery that is not there has no voltage.
         let has_voltage = state.voltage > 0.0;
         let removed = Some(!state.present && !has_voltage);
@@ -179,7 +230,9 @@ fn motion(twist: &Twist, refused: &mut impl FnMut(Reason, &str)) -> Observation 
 
 #[cfg(test)]
 mod tests {
-    use joulebus_ros_messages::{Header, Time, TwistStamped, Vector3, encode};
+    use joulebus_ros_messages::{
+        BatteryStateArray, Header, SpotBattery, Time, TwistStamped, Vector3, encode,
+    };
     use proptest::prelude::*;
     use serde::Serialize;
 
@@ -196,7 +249,9 @@ mod tests {
                 discharge_is_positive: false,
                 percentage: Quantity::Share.si(),
                 power_of: Some(PowerOf::Battery),
+                pack: None,
             },
+            says: None,
         }
     }
 
@@ -270,6 +325,7 @@ mod tests {
             discharge_is_positive: true,
             percentage: Quantity::Share.unit("%").unwrap(),
             power_of: Some(PowerOf::Load),
+            pack: None,
         };
         let state = BatteryState { current: 2.0, percentage: 50.0, ..battery() };
         let seen = read_battery(&other, &state).0.unwrap();
@@ -362,6 +418,55 @@ mod tests {
                 ("not_finite", "angular.z of r1,linear.x of r1".to_owned())
             ]
         );
+    }
+
+    #[test]
+    fn the_packs_of_an_array_are_summed() {
+        let pack = |volt: f64, ampere: f64, percent: f64, status: u8| SpotBattery {
+            header: header(),
+            identifier: "pack".to_owned(),
+            charge_percentage: percent,
+            estimated_runtime: Time::default(),
+            current: ampere,
+            voltage: volt,
+            temperatures: vec![30.0],
+            status,
+        };
+        let mut array = route(RosType::BatteryStateArray);
+        array.battery.power_of = Some(PowerOf::Load);
+        let read = |packs: &[SpotBattery]| {
+            let message = BatteryStateArray { battery_states: packs.to_vec() };
+            read(&array, &Received::new([0, 1], &body(&message)))
+        };
+        let (one, other) = (pack(50.0, -2.0, 80.0, 3), pack(54.0, -0.5, 40.0, 3));
+        let seen = read(&[one.clone(), other.clone()]).0.unwrap();
+        assert_eq!((seen.power.unwrap().power_w, seen.voltage_v), (127.0, Some(52.0)));
+        assert!((seen.soc.unwrap() - 0.6).abs() < 1e-6 && seen.charging == Some(false));
+        assert_eq!(read(&[one.clone()]).0.unwrap().power.unwrap().power_w, 100.0);
+        // A slot without a battery leaves nothing known of the power.
+        let missing = read(&[one, pack(0.0, 0.0, 0.0, 1)]).0;
+        assert_eq!(missing.map(|seen| (seen.power, seen.soc)), Some((None, None)));
+        assert_eq!(read(&[]), (None, vec![("nothing_mapped", "r1".to_owned())]));
+    }
+
+    #[test]
+    fn a_truth_value_says_that_a_robot_is_off_or_has_another_battery() {
+        for (says, is_true, expected) in [
+            (Says::Off, true, (Some(true), None)),
+            (Says::Swapped, true, (None, Some(true))),
+            (Says::Swapped, false, (None, Some(false))),
+        ] {
+            let route = RosRoute { says: Some(says), ..route(RosType::Bool) };
+            let message = Received::new([0, 1], &[u8::from(is_true)]);
+            let seen = read(&route, &message).0.unwrap();
+            assert_eq!((seen.off, seen.swapped), expected, "{says:?}");
+        }
+        let on = RosRoute { says: Some(Says::Off), ..route(RosType::Bool) };
+        assert_eq!(read(&on, &Received::new([0, 1], &[0])), (None, Vec::new()));
+        for bytes in [&[][..], &[7], &[1, 0, 0, 0, 0]] {
+            let (seen, refused) = read(&on, &Received::new([0, 1], bytes));
+            assert_eq!((seen, refused[0].0), (None, "not_cdr"), "{bytes:?}");
+        }
     }
 
     #[test]

@@ -5,11 +5,13 @@ use joulebus_ros_messages::RosType;
 /// Maximum length of a topic, bytes. DDS allows 256 with its prefix.
 const MAX_BYTES: usize = 250;
 
-const TYPES: [(RosType, &str); 4] = [
+const TYPES: [(RosType, &str); 6] = [
     (RosType::BatteryState, "sensor_msgs/msg/BatteryState"),
     (RosType::Twist, "geometry_msgs/msg/Twist"),
     (RosType::TwistStamped, "geometry_msgs/msg/TwistStamped"),
     (RosType::Odometry, "nav_msgs/msg/Odometry"),
+    (RosType::Bool, "std_msgs/msg/Bool"),
+    (RosType::BatteryStateArray, "spot_msgs/msg/BatteryStateArray"),
 ];
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
