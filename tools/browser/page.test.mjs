@@ -186,6 +186,29 @@ describe("a fleet of 20 robots", () => {
     });
   });
 
+  test("a robot's battery is stated from its panel, and a refusal is shown", async () => {
+    await withPage(`${server.url}/?robot=7`, {}, async (page) => {
+      await live(page);
+      const panel = page.locator("#battery");
+      await panel.locator("summary").click();
+      await panel.getByLabel("Your name").fill("ann");
+      assert.deepEqual(await axeFindings(page), []);
+      const charge = async () => (await (await fetch(`${server.url}/api/v1/robots/7`)).json()).soc;
+      await panel.getByLabel("Measured charge in percent").fill("40");
+      await panel.getByRole("button", { name: "It was measured" }).click();
+      await panel.getByText("The worker counts from there.").waitFor();
+      await until("a charge near 40 %", async () => Math.abs((await charge()) - 0.4) < 0.1);
+      await panel.getByRole("button", { name: "It is full" }).click();
+      await until("a full battery", async () => (await charge()) > 0.9);
+      // A name that is none, though the browser has sent it.
+      await panel.getByLabel("Your name").fill(" ");
+      await panel.getByRole("button", { name: "It was exchanged" }).click();
+      const status = panel.locator("[role='status']");
+      await until("the refusal", async () => /name/.test(await status.textContent()));
+      page.complaints = page.complaints.filter((text) => !/status of 4/.test(text));
+    });
+  });
+
   test("the values are those of joulebus watch, tick by tick", async () => {
     await withPage(server.url, { viewport: { width: 1920, height: 1080 } }, async (page) => {
       await live(page);

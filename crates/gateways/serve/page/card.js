@@ -2,11 +2,10 @@
 // has acknowledged it.
 
 import * as format from "./format.js";
+import { personsName, tell } from "./person.js";
 
 const dialog = document.getElementById("card");
 const form = document.getElementById("acknowledge");
-/** Where the browser keeps the person's name. */
-const NAME = "joulebus.name";
 /** Those that compare a robot with its own level, which can be the new normal. */
 const OF_LEVEL = ["LevelHigh", "LevelLow"];
 const part = (name) => dialog.querySelector(`[data-card="${name}"]`);
@@ -50,7 +49,7 @@ function showAcknowledged(alarm, robot, board) {
   // The Enter key would press it even while it is hidden.
   known.disabled = known.hidden;
   form.hidden = !raised || (known.hidden && normal.hidden) || alarm === "Implausible";
-  form.elements.by.value = localStorage.getItem(NAME) ?? "";
+  form.elements.by.value = personsName();
   Object.assign(form.dataset, { alarm, robot });
 }
 
@@ -59,19 +58,9 @@ async function acknowledge(event) {
   const { alarm, robot } = form.dataset;
   const by = form.elements.by.value.trim();
   const isNormal = event.submitter?.value === "normal";
-  localStorage.setItem(NAME, by);
-  part("answer").textContent = "Asking the worker";
-  try {
-    const reply = await fetch("/api/v1/alarms/acknowledge", {
-      method: "POST",
-      headers: { "Content-Type": "application/json" },
-      body: JSON.stringify({ robot: Number(robot), alarm, by, new_normal: isNormal }),
-    });
-    if (reply.ok) dialog.close();
-    else part("answer").textContent = (await reply.json()).error ?? reply.statusText;
-  } catch {
-    part("answer").textContent = "No answer: no connection to the server.";
-  }
+  const asked = { robot: Number(robot), alarm, by, new_normal: isNormal };
+  const refused = await tell("/api/v1/alarms/acknowledge", asked, part("answer"));
+  if (refused === null) dialog.close();
 }
 
 /** Opens the card of every alarm that is pressed. */

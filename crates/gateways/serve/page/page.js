@@ -7,6 +7,7 @@ import { showCards } from "./card.js";
 import * as format from "./format.js";
 import { RobotList } from "./list.js";
 import { explainNames } from "./meaning.js";
+import { BatteryForm } from "./person.js";
 import { RobotView } from "./robot.js";
 import { Stream } from "./stream.js";
 import { WhatIf } from "./what_if.js";
@@ -44,6 +45,7 @@ const robotView = new RobotView({ close: () => closeRobot() });
 const alarmsView = new AlarmsView();
 const workerView = new WorkerView();
 const whatIf = new WhatIf();
+const batteryForm = new BatteryForm();
 showCards(board);
 
 const stream = new Stream({
@@ -156,6 +158,7 @@ function showControls() {
   }
   robotView.open(state.robot);
   whatIf.open(state.robot);
+  batteryForm.open(state.robot);
 }
 
 /** The server's time now, from its last message and this page's clock. */

@@ -38,6 +38,7 @@ static PAGE: &[File] = &[
     file!("meaning.js", JS),
     file!("page.css", CSS),
     file!("page.js", JS),
+    file!("person.js", JS),
     file!("robot.js", JS),
     file!("stream.js", JS),
     file!("vendor/uPlot.LICENSE", TEXT),
