@@ -2010,6 +2010,23 @@ joulebus_error joulebus_client_ask(struct joulebus_client *client,
                                    struct joulebus_answers *answers);
 
 /**
+ * States a robot's battery in the name of a person, as `joulebus battery` does. Returns when the
+ * worker has taken it: its next tick counts from there.
+ *
+ * @param statement  JOULEBUS_SAMPLE_SOC, JOULEBUS_SAMPLE_FULL or JOULEBUS_SAMPLE_SWAPPED: it was
+ *                   measured, it is full, or it was exchanged.
+ * @param soc        The state of charge that was measured, 0 to 1.
+ * @param by         Who states it, shown to operators and in captures.
+ * @param timeout_ns Time to wait, ns.
+ */
+joulebus_error joulebus_client_state_battery(struct joulebus_client *client,
+                                             uint32_t robot,
+                                             uint32_t statement,
+                                             float soc,
+                                             const char *by,
+                                             uint64_t timeout_ns);
+
+/**
  * Leaves the fleet. NULL is closed already.
  */
 joulebus_error joulebus_client_close(struct joulebus_client *client);

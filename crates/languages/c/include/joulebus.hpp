@@ -874,6 +874,16 @@ public:
         });
     }
 
+    /**
+     * States a robot's battery in the name of a person. `statement`: JOULEBUS_SAMPLE_SOC (with the
+     * state of charge that was measured), _FULL or _SWAPPED.
+     */
+    Result<void> state_battery(std::uint32_t robot, std::uint32_t statement, const std::string &by,
+                               std::chrono::nanoseconds timeout, float soc = 0.0f) {
+        auto code = joulebus_client_state_battery(handle_.get(), robot, statement, soc, by.c_str(), detail::ns(timeout));
+        return detail::done(code);
+    }
+
     Result<void> close() { return handle_.close(); }
     joulebus_client *get() const noexcept { return handle_.get(); }
 

@@ -4,6 +4,7 @@ use std::ffi::c_char;
 use std::time::Duration;
 
 use joulebus_planner::{ClientError, Config, PlanClient};
+use joulebus_wire::{Statement, sample_flag};
 
 use crate::abi::types::{joulebus_answers, joulebus_client, joulebus_error, joulebus_question};
 use crate::failure::{Failure, entry};
@@ -79,6 +80,43 @@ pub unsafe extern "C" fn joulebus_client_ask(
         (to.tick, to.age_ns, to.took_ns) = (found.tick, found.age_ns, found.took_ns);
         answers.set(to);
         Ok(())
+    })
+}
+
+/// States a robot's battery in the name of a person, as `joulebus battery` does. Returns when the
+/// worker has taken it: its next tick counts from there.
+///
+/// @param statement  JOULEBUS_SAMPLE_SOC, JOULEBUS_SAMPLE_FULL or JOULEBUS_SAMPLE_SWAPPED: it was
+///                   measured, it is full, or it was exchanged.
+/// @param soc        The state of charge that was measured, 0 to 1.
+/// @param by         Who states it, shown to operators and in captures.
+/// @param timeout_ns Time to wait, ns.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_client_state_battery(
+    client: *mut joulebus_client,
+    robot: u32,
+    statement: u32,
+    soc: f32,
+    by: *const c_char,
+    timeout_ns: u64,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promise, in joulebus.h.
+        let by = unsafe { text("by", by) }?;
+        let statement = match statement {
+            sample_flag::SOC => Statement::Charge(soc),
+            sample_flag::FULL => Statement::Full,
+            sample_flag::SWAPPED => Statement::Exchanged,
+            other => {
+                return Err(Failure::argument(format!(
+                    "statement is {other:#x}, allowed are JOULEBUS_SAMPLE_SOC, _FULL and _SWAPPED"
+                )));
+            }
+        };
+        let timeout = Duration::from_nanos(timeout_ns);
+        handles::with(client, |client: &mut PlanClient| {
+            client.state_battery(robot, statement, by, timeout).map_err(unanswered)
+        })
     })
 }
 

@@ -4,6 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::sync_channel;
 use std::{fs, thread};
 
 use joulebus_config::{Config, builtin_model};
@@ -21,8 +22,10 @@ pub(crate) fn member() {
         return;
     };
     let config = Config::load(path).unwrap();
-    let server = PlanServer::start(&config, None).unwrap();
+    let (stated, statements) = sync_channel(8);
+    let server = PlanServer::start(&config, Some(stated)).unwrap();
     let mut worker = Worker::open(&config).unwrap();
+    worker.take_statements_from(statements);
     server.serve();
     server.wait_until_open();
     send_to_test("ready");

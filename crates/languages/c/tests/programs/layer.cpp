@@ -159,6 +159,16 @@ void plans(const std::string &config) {
     HOLDS(through.rows.size() == 2 && through.rows[0].robot == 7 && through.took > 0ns);
     const auto computed = client.ask(joulebus::Question::what_if(7, candidates).power(), patience).value();
     HOLDS(computed.power_w.size() == 60);
+    client.state_battery(7, JOULEBUS_SAMPLE_SOC, "ann", patience, 0.4f).value();
+    const auto left_j = [&] {
+        const auto now = client.ask(joulebus::Question::idle({7}, 1.0f), patience).value();
+        return now.rows[0].left_j;
+    };
+    // Of 5 Wh, and with what it draws.
+    while (!(left_j() < 0.45f * 18000.0f)) {
+        std::this_thread::sleep_for(10ms);
+    }
+    HOLDS(client.state_battery(7, 0, "ann", patience).error().code == JOULEBUS_ERROR_ARGUMENT);
 }
 
 /// Rows that the test makes as well.

@@ -430,6 +430,13 @@ static void plans(void) {
     REFUSED(joulebus_client_ask(client, &question, PATIENCE_NS, &answers), QUESTION, "UnknownRobot");
     question.coverage = NAN;
     REFUSED(joulebus_client_ask(client, &question, PATIENCE_NS, &answers), QUESTION, "");
+    OK(joulebus_client_state_battery(client, 7, JOULEBUS_SAMPLE_SOC, 0.5f, "ann", PATIENCE_NS));
+    OK(joulebus_client_state_battery(client, 7, JOULEBUS_SAMPLE_FULL, NAN, "ann", PATIENCE_NS));
+    REFUSED(joulebus_client_state_battery(client, 7, JOULEBUS_SAMPLE_SOC, NAN, "ann", PATIENCE_NS), QUESTION, "");
+    REFUSED(joulebus_client_state_battery(client, 7, JOULEBUS_SAMPLE_SOC, 1.5f, "ann", PATIENCE_NS), QUESTION, "");
+    REFUSED(joulebus_client_state_battery(client, 7, JOULEBUS_SAMPLE_FULL, 0.0f, "", PATIENCE_NS), QUESTION, "");
+    REFUSED(joulebus_client_state_battery(client, 7, 3, 0.0f, "ann", PATIENCE_NS), ARGUMENT, "JOULEBUS_SAMPLE_SOC");
+    REFUSED(joulebus_client_state_battery(client, 7, JOULEBUS_SAMPLE_FULL, 0.0f, NULL, PATIENCE_NS), ARGUMENT, "by is NULL");
     OK(joulebus_client_close(client));
     REFUSED(joulebus_client_ask(client, &question, 0, &answers), HANDLE, "the client is closed");
 }
