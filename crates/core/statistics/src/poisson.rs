@@ -52,7 +52,8 @@ pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
 
 /// Upper bound of the probability to continue after each step. `steps` is the total number of steps
 /// in `runs` runs up to their first stop. It is the exact upper bound at `confidence` of a
-/// geometric distribution's parameter. 1 without runs.
+/// geometric distribution's parameter, and of a share of which `steps` of `steps + runs` were seen
+/// (Clopper and Pearson 1934). 1 without runs.
 pub fn upper_decay(steps: u64, runs: u64, confidence: f64) -> f64 {
     if runs == 0 {
         return 1.0;
@@ -112,6 +113,11 @@ mod tests {
         let decay = upper_decay(0, 10, 0.95);
         assert!((decay - (1.0 - 0.05_f64.powf(0.1))).abs() < 1e-9, "{decay}");
         assert_eq!(upper_decay(3, 0, 0.95), 1.0);
+        // Clopper and Pearson, two-sided 95 %: 0 of 10, 1 of 20, 5 of 200.
+        for (found, others, expected) in [(0, 10, 0.308), (1, 19, 0.249), (5, 195, 0.0574)] {
+            let bound = upper_decay(found, others, 0.975);
+            assert!((bound - expected).abs() < 1e-3, "{found} and {others}: {bound}");
+        }
         assert_eq!(upper_rate(&[], &[], 0.95), f64::INFINITY);
     }
 

@@ -13,6 +13,7 @@ use joulebus_dataset::trial::TrialError;
 use joulebus_energy::{Commands, EnergyModel};
 use joulebus_plan::first_energy;
 use joulebus_predictor::FeatureSet;
+use joulebus_statistics::poisson::upper_decay;
 use joulebus_train::{energy_model, recorded_features};
 use serde::Serialize;
 
@@ -300,32 +301,9 @@ fn row(left_out: &str, length_s: f64, trips: &[TripScore]) -> Option<TripRow> {
             (hi_j - lo_j + 2.0 / f64::from(1.0 - COVERAGE) * missed_j) / mean_j
         }),
         right_yes: 1.0 - wrong as f64 / count,
-        wrong_yes_bound: binomial_bound(wrong, trips.len()),
+        wrong_yes_bound: upper_decay(wrong as u64, (trips.len() - wrong) as u64, 0.975),
         outside: mean(&|trip| f64::from(u8::from(trip.outside > 0.0))),
     })
-}
-
-/// Upper end of the 95 % interval of a share of which `found` of `count` were seen: that with which
-/// so few are seen once in forty times.
-fn binomial_bound(found: usize, count: usize) -> f64 {
-    if found >= count {
-        return 1.0;
-    }
-    let at_most = |share: f64| -> f64 {
-        let mut term = libm::pow(1.0 - share, count as f64);
-        let mut sum = term;
-        for hit in 1..=found {
-            term *= (count + 1 - hit) as f64 / hit as f64 * share / (1.0 - share);
-            sum += term;
-        }
-        sum
-    };
-    let (mut low, mut high) = (0.0, 1.0 - 1e-9);
-    for _ in 0..60 {
-        let middle = 0.5 * (low + high);
-        if at_most(middle) > 0.025 { low = middle } else { high = middle }
-    }
-    high
 }
 
 fn percent(share: f64) -> String {
@@ -380,20 +358,5 @@ impl fmt::Display for TripsReport {
             )?;
         }
         Ok(())
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::binomial_bound;
-
-    #[test]
-    fn the_bound_of_a_share_is_that_of_tables() {
-        // Clopper and Pearson: 0 of 10, 1 of 20, 5 of 200.
-        for (found, count, expected) in [(0, 10, 0.308), (1, 20, 0.249), (5, 200, 0.0574)] {
-            let bound = binomial_bound(found, count);
-            assert!((bound - expected).abs() < 1e-3, "{found} of {count}: {bound}");
-        }
-        assert_eq!(binomial_bound(3, 3), 1.0);
     }
 }
