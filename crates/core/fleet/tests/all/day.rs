@@ -7,6 +7,7 @@ use joulebus_fleet::{Fleet, Ledger, SavedBattery};
 use joulebus_plan::{Answer, Fleet as PlanFleet, Frames, Platform as PlanPlatform, Verdict};
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_settings::{Battery, ChargeReading, FleetSettings, Platform};
+use joulebus_statistics::poisson::upper_decay;
 use joulebus_testkit_fleets::random::{self, Noise};
 use joulebus_testkit_fleets::{self as world, MS, Source};
 use joulebus_wire::{
@@ -110,6 +111,8 @@ struct Robot {
     is_charging: bool,
     is_full: bool,
     left_j: f64,
+    /// By its monitor.
+    drawn_j: f64,
     saved: Option<Budget>,
 }
 
@@ -139,6 +142,7 @@ impl Robot {
 
     /// The monitor reads `power_w`, of which it is wrong.
     fn draw(&mut self, power_w: f64) {
+        self.drawn_j += power_w * STEP_S;
         let stored = if power_w < 0.0 { 0.9 } else { 1.0 };
         self.soc -= stored * power_w * (1.0 + self.gain) * STEP_S / CAPACITY_J;
         self.soc = self.soc.clamp(0.0, if self.is_charging { self.full } else { 1.0 });
@@ -177,6 +181,47 @@ struct Asked {
     reserve: f64,
     stated: f64,
     is_yes: bool,
+    duration_s: f64,
+    /// Energy drawn before.
+    drawn_j: f64,
+    /// Its energy, with the 90 % interval.
+    energy_j: [f64; 3],
+}
+
+/// Longest plans of each length, s.
+const LENGTHS_S: [f64; 4] = [60.0, 150.0, 1_200.0, 3_600.0];
+
+/// Plans of a length: their number, how many lay inside the interval, the sum of its relative widths,
+/// wrong and right yeses.
+#[derive(Default, Clone, Copy)]
+struct Length {
+    plans: f64,
+    inside: f64,
+    width: f64,
+    yes: [u64; 2],
+}
+
+/// Prints the table of lengths. Intervals hold at least nearly what they state. Wrong yeses are at most
+/// as frequent as stated and five points. The longest intervals are at most 2.5 times as wide as those
+/// about 100 s.
+fn assert_lengths(lengths: &[Length; 4]) {
+    println!("| up to s | plans | inside % | width | yes | wrong | at most % |");
+    println!("|{}", "---|".repeat(7));
+    for (length, longest_s) in lengths.iter().zip(LENGTHS_S) {
+        let Length { plans, inside, width, yes: [wrong, right] } = length;
+        let bound = 100.0 * upper_decay(*wrong, *right, 0.975);
+        let (inside, width, yes) = (100.0 * inside / plans, width / plans, wrong + right);
+        println!(
+            "| {longest_s} | {plans} | {inside:.1} | {width:.3} | {yes} | {wrong} | {bound:.1} |"
+        );
+    }
+    let holds = |Length { plans, inside, yes: [wrong, right], .. }: &Length| {
+        let bound = upper_decay(*wrong, *right, 0.975);
+        *inside >= 0.85 * plans && wrong + right >= 200 && bound <= 0.15
+    };
+    assert!(lengths.iter().all(holds));
+    let width = |length: usize| lengths[length].width / lengths[length].plans;
+    assert!(width(3) <= 2.5 * width(1), "{} {}", width(3), width(1));
 }
 
 /// Stated probabilities in tenths, with what happened.
@@ -217,7 +262,7 @@ struct Day {
     robots: Vec<Robot>,
     asked: Vec<Asked>,
     tenths: [Tenth; 10],
-    yes: [usize; 2],
+    lengths: [Length; 4],
     inside: [usize; 2],
     rises: usize,
 }
@@ -245,6 +290,7 @@ impl Day {
             is_charging: false,
             is_full: false,
             left_j: f64::INFINITY,
+            drawn_j: 0.0,
             saved: None,
         };
         Self {
@@ -254,7 +300,7 @@ impl Day {
             noise,
             asked: Vec::new(),
             tenths: [Tenth::default(); 10],
-            yes: [0; 2],
+            lengths: [Length::default(); 4],
             inside: [0; 2],
             rises: 0,
         }
@@ -369,7 +415,8 @@ impl Day {
         let steps_s = (ends - step) as f64 * STEP_S;
         let spread = 5.0 * uniform(&mut self.noise) - 2.5;
         let wanted = f64::from(budget.soc) - MEAN_W * steps_s / CAPACITY_J;
-        let reserve = wanted + spread * f64::from(budget.soc_sd);
+        let sd = f64::from(budget.soc_sd) + 0.1 * MEAN_W * steps_s / CAPACITY_J;
+        let reserve = wanted + spread * sd;
         if !(0.01..0.95).contains(&reserve) {
             return;
         }
@@ -380,8 +427,17 @@ impl Day {
         let Some(probability) = answer.probability else {
             return;
         };
-        let is_yes = answer.verdict == Verdict::Yes;
-        self.asked.push(Asked { robot: number, ends, reserve, stated: probability.into(), is_yes });
+        let energy = answer.energy.expect("it is known with a probability");
+        self.asked.push(Asked {
+            robot: number,
+            ends,
+            reserve,
+            stated: probability.into(),
+            is_yes: answer.verdict == Verdict::Yes,
+            duration_s: steps_s,
+            drawn_j: self.robots[number].drawn_j,
+            energy_j: [energy.lo_j, energy.mean_j, energy.hi_j].map(f64::from),
+        });
     }
 
     /// Whether the plans that end now left the reserve untouched.
@@ -390,10 +446,17 @@ impl Day {
             std::mem::take(&mut self.asked).into_iter().partition(|asked| asked.ends == step);
         self.asked = asked;
         for asked in ended {
-            let happened = self.robots[asked.robot].soc > asked.reserve;
+            let robot = &self.robots[asked.robot];
+            let happened = robot.soc > asked.reserve;
             add(&mut self.tenths, asked.stated, [happened]);
+            let length = LENGTHS_S.iter().position(|longest_s| asked.duration_s <= *longest_s);
+            let Some(length) = length.map(|place| &mut self.lengths[place]) else { continue };
+            let ([lo_j, mean_j, hi_j], drawn_j) = (asked.energy_j, robot.drawn_j - asked.drawn_j);
+            length.plans += 1.0;
+            length.inside += f64::from(u8::from((lo_j..=hi_j).contains(&drawn_j)));
+            length.width += (hi_j - lo_j) / mean_j;
             if asked.is_yes {
-                self.yes[usize::from(happened)] += 1;
+                length.yes[usize::from(happened)] += 1;
             }
         }
     }
@@ -402,7 +465,7 @@ impl Day {
 #[test]
 fn over_a_day_energy_left_never_rises_bounds_hold_and_probabilities_are_what_happens() {
     let (mut tenths, mut rises) = ([Tenth::default(); 10], 0);
-    let [mut inside, mut yes] = [[0; 2]; 2];
+    let (mut inside, mut lengths) = ([0; 2], [Length::default(); 4]);
     for seed in SEEDS {
         let mut day = Day::new(seed);
         day.run();
@@ -414,16 +477,20 @@ fn over_a_day_energy_left_never_rises_bounds_hold_and_probabilities_are_what_hap
         }
         for at in 0..2 {
             inside[at] += day.inside[at];
-            yes[at] += day.yes[at];
+        }
+        for (all, of) in lengths.iter_mut().zip(day.lengths) {
+            all.plans += of.plans;
+            all.inside += of.inside;
+            all.width += of.width;
+            all.yes = [0, 1].map(|at| all.yes[at] + of.yes[at]);
         }
     }
     let [outside, inside] = inside.map(|count| count as f64);
     let inside = inside / (inside + outside);
-    let [wrong, right] = yes;
-    println!("{right} of {} yes right; {inside:.4} inside, {rises} rises", right + wrong);
+    println!("{inside:.4} inside, {rises} rises");
     assert_eq!(rises, 0, "energy left rises without charge");
     assert!(inside >= 0.95, "{inside}");
-    assert!(right as f64 >= 0.97 * (right + wrong) as f64, "{right} {wrong}");
+    assert_lengths(&lengths);
     assert_calibrated(&tenths, 0.03);
 }
 
