@@ -27,10 +27,6 @@ pub const COVERAGE: RangeInclusive<f64> = 0.5..=0.99;
 pub const INTERVAL_RATE: RangeInclusive<f64> = 0.001..=0.5;
 /// Weight of the newest residual in the bias and in the noise ratio.
 pub const ALARM_WEIGHT: RangeInclusive<f64> = 1e-4..=0.5;
-/// Shift that the cumulative sums ignore, standard deviations.
-pub const CUSUM_SLACK: RangeInclusive<f64> = 0.0..=5.0;
-/// Cumulative sum at which a bias alarm is raised, standard deviations.
-pub const CUSUM_LIMIT: RangeInclusive<f64> = 1.0..=1000.0;
 /// Noise ratio at which an alarm is raised.
 pub const NOISE_LIMIT: RangeInclusive<f64> = 1.5..=100.0;
 /// Ratio of the squared error to persistence's at which an alarm is raised.

@@ -79,10 +79,6 @@ pub const KEYS: &[Key] = &[
 
     key("alarms.bias_weight", num(bounds::ALARM_WEIGHT), "share", DefaultValue::Number(0.005),
         "Weight of the newest residual in the running bias."),
-    key("alarms.cusum_slack", num(bounds::CUSUM_SLACK), "standard deviations", DefaultValue::Number(0.8),
-        "Retired: it has no effect any more. It was the slack of the sums behind BiasHigh and BiasLow."),
-    key("alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Number(110.0),
-        "Retired: it has no effect any more. It was the limit of the sums behind BiasHigh and BiasLow. LevelHigh and LevelLow replace them."),
     key("alarms.noise_weight", num(bounds::ALARM_WEIGHT), "share", DefaultValue::Number(0.005),
         "Weight of the newest squared residual in the noise ratio."),
     key("alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Number(15.0),
@@ -162,8 +158,6 @@ pub const KEYS: &[Key] = &[
     of(Platform, key("platform.omega_max_radps", num(bounds::OMEGA_MAX_RADPS), "rad/s", DefaultValue::Required,
         "Largest |omega| that can be commanded, 0 for robots that report no velocity.")),
 
-    of(Platform, key("platform.alarms.cusum_limit", num(bounds::CUSUM_LIMIT), "standard deviations", DefaultValue::Unset,
-        "Retired: it has no effect any more.")),
     of(Platform, key("platform.alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Unset,
         "Replaces the fleet's alarms.noise_limit for this platform. joulebus calibrate writes it.")),
     of(Platform, key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,

@@ -185,6 +185,9 @@ const ONE_BODY: &str = "It went: each request has one body, whose `text` Slack a
 /// The replacement of shards.
 const SEVERAL_FLEETS: &str = "It went: a fleet has one worker. Split a fleet that is too large into several (docs/how-to/several-fleets.md). For a standby write `workers = [\"base\", \"base-2\"]` into every link's file, with the names of both links (docs/how-to/standby.md)";
 
+/// The replacement of the sums behind BiasHigh and BiasLow.
+const NO_SUMS: &str = "Remove it: LevelHigh and LevelLow find loads, by `alarms.level_limit`";
+
 /// Keys, sections and words of earlier versions, with their replacements.
 const REPLACED: &[(&str, &str)] = &[
     (
@@ -192,6 +195,9 @@ const REPLACED: &[(&str, &str)] = &[
         "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
     ),
     ("platform.forecast = mixture", "\"online\", the default, replaces it"),
+    ("alarms.cusum_slack", NO_SUMS),
+    ("alarms.cusum_limit", NO_SUMS),
+    ("platform.alarms.cusum_limit", NO_SUMS),
     ("shards", SEVERAL_FLEETS),
     ("shard", SEVERAL_FLEETS),
     ("webhook.format", ONE_BODY),

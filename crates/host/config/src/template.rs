@@ -119,7 +119,6 @@ mod tests {
                 Assignment::number("power_resolution_w", 0.01, ""),
                 Assignment::number("v_max_mps", 1.0, ""),
                 Assignment::number("omega_max_radps", 2.0, ""),
-                Assignment::number("alarms.cusum_limit", 90.0, ""),
                 Assignment::number("alarms.noise_limit", 9.0, ""),
                 Assignment::number("alarms.mismatch_limit", 3.0, ""),
                 Assignment::number("alarms.level_limit", 9.0, ""),

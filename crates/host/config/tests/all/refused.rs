@@ -23,7 +23,7 @@ leave_after_s = 30.0
 [interval]
 coverage = 0.9
 [alarms]
-cusum_limit = 50.0
+noise_limit = 50.0
 [ledger]
 every_s = 1.0
 [worker]
@@ -168,9 +168,10 @@ fn typos_are_refused_with_the_nearest_key() {
         omega_max_radps = | max_turn_degps = | platform.max_turn_degps | `platform.omega_max_radps`
         reserve = | capacity_ah = | platform.battery.capacity_ah | `battery.capacity_wh` | nominal voltage
         [interval] | [intervall] | intervall | not a known section | `interval`
-        cusum_limit = | Cusum_limit = | alarms.Cusum_limit | `alarms.cusum_limit`
+        noise_limit = | Noise_limit = | alarms.Noise_limit | `alarms.noise_limit`
+        noise_limit = | cusum_limit = | alarms.cusum_limit | LevelHigh
         every_s = | zzzzzzzz = | ledger.zzzzzzzz | config explain
-        every_s = | cusum_limit = | ledger.cusum_limit | `alarms.cusum_limit`: move it there
+        every_s = | noise_limit = | ledger.noise_limit | `alarms.noise_limit`: move it there
     "#;
     each_case(cases, assert_refused_among);
 }
