@@ -8,4 +8,5 @@ mod levels;
 mod live;
 mod online_learning;
 mod plant_statistics;
+mod remembered;
 mod trial;
