@@ -9,7 +9,7 @@ use joulebus_settings::{
 };
 
 use crate::consistency;
-use crate::document::{FleetFile, Listed, Source};
+use crate::document::{FleetFile, Listed, RETIRED, Source};
 use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
@@ -141,6 +141,9 @@ impl Config {
             files::platforms(&mut read, within, &mut problems);
             consistency::check(&read, &source.name, &mut problems, &mut warnings);
         }
+        let (retired, mut problems): (Vec<_>, Vec<_>) =
+            problems.into_iter().partition(|problem| problem.what == RETIRED);
+        warnings.extend(retired);
         let built = if problems.is_empty() { Self::build(&read, &mut problems) } else { None };
         match built {
             Some(config) if problems.is_empty() => Ok(Self { warnings, ..config }),

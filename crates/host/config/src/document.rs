@@ -18,6 +18,8 @@ use crate::values::{Child, Location, Scalar, Value, Values};
 
 /// Letters of a key or a value that are shown.
 const MAX_SHOWN: usize = 60;
+/// What is wrong with a key without an effect: the file is accepted.
+pub(crate) const RETIRED: &str = "is retired: it has no effect";
 
 /// A text and its name.
 pub(crate) struct Source<'a> {
@@ -293,6 +295,7 @@ impl Walk<'_> {
         }
     }
 
+    /// A key that had an effect once is a [`RETIRED`] problem, which [`crate::Config`] only tells.
     fn unknown(&mut self, location: &Location, path: &str, item: &Spanned<DeValue<'_>>) {
         if self.problems.len() > MAX_PROBLEMS {
             return;
@@ -300,6 +303,8 @@ impl Walk<'_> {
         let value = number(item.get_ref());
         let (what, remedy) = if item.get_ref().is_table() {
             ("is not a known section", remedy::unknown_section(self.file, path))
+        } else if let Some(instead) = remedy::retired(path) {
+            (RETIRED, instead.to_owned())
         } else {
             ("is not a known key", remedy::unknown_key(Some(self.file), path, value))
         };

@@ -195,9 +195,6 @@ const REPLACED: &[(&str, &str)] = &[
         "Remove it: `platform.forecast` = \"online\", the default, learns an offset and a gain per robot",
     ),
     ("platform.forecast = mixture", "\"online\", the default, replaces it"),
-    ("alarms.cusum_slack", NO_SUMS),
-    ("alarms.cusum_limit", NO_SUMS),
-    ("platform.alarms.cusum_limit", NO_SUMS),
     ("shards", SEVERAL_FLEETS),
     ("shard", SEVERAL_FLEETS),
     ("webhook.format", ONE_BODY),
@@ -207,6 +204,15 @@ const REPLACED: &[(&str, &str)] = &[
         "It went: Prometheus repeats alerts to Alertmanager, by the rules in configs/prometheus (docs/how-to/webhook.md)",
     ),
 ];
+
+/// Keys without an effect any more. Captures of earlier versions have them.
+const RETIRED: [&str; 3] =
+    ["alarms.cusum_slack", "alarms.cusum_limit", "platform.alarms.cusum_limit"];
+
+/// The remedy for a key that has no effect any more.
+pub(crate) fn retired(path: &str) -> Option<&'static str> {
+    RETIRED.contains(&path).then_some(NO_SUMS)
+}
 
 /// Words of keys that joulebus does not have, and what it asks for instead.
 const NEVER: &[(&[&str], &str)] = &[

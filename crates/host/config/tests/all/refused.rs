@@ -169,7 +169,6 @@ fn typos_are_refused_with_the_nearest_key() {
         reserve = | capacity_ah = | platform.battery.capacity_ah | `battery.capacity_wh` | nominal voltage
         [interval] | [intervall] | intervall | not a known section | `interval`
         noise_limit = | Noise_limit = | alarms.Noise_limit | `alarms.noise_limit`
-        noise_limit = | cusum_limit = | alarms.cusum_limit | LevelHigh
         every_s = | zzzzzzzz = | ledger.zzzzzzzz | config explain
         every_s = | noise_limit = | ledger.noise_limit | `alarms.noise_limit`: move it there
     "#;
@@ -340,6 +339,7 @@ fn doubtful_values_are_accepted_with_a_warning() {
         ("max_jump_s = 60.0", "max_jump_s = 20.0", "intake.max_jump_s"),
         ("cpus = \"1\"", "priority = 50", "worker.priority"),
         ("cpus = \"1\"", "if_refused = \"stop\"", "worker.if_refused"),
+        ("noise_limit = 50.0", "cusum_limit = 50.0", "alarms.cusum_limit"),
     ] {
         let config = parse(&WHOLE.replace(from, to)).unwrap_or_else(|error| panic!("{error}"));
         let keys: Vec<&str> =
