@@ -1,6 +1,7 @@
 //! The output of one robot depends on that robot's samples alone, except for what the robots of a
 //! platform learn together: the bounds of its energy's errors, the shares of its outlook, the priors
-//! of its lasting power and of its trust in commands, and how its first forecasts start.
+//! of its lasting power and of its trust in commands, how its first forecasts start, and the alarms
+//! of its level.
 
 use joulebus_fleet::Fleet;
 use joulebus_testkit_fleets::random::Noise;
