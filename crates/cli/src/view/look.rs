@@ -3,8 +3,8 @@
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use joulebus_board::{Board, Link, Platforms};
 use joulebus_wire::{
-    Alarm, AlarmSet, Budget, Diagnostic, Forecast, ForecastHeader, InvalidReason, Quality,
-    budget_flag, diagnostic_flag, forecast_flag,
+    Acknowledgement, Alarm, AlarmSet, Budget, Diagnostic, Forecast, ForecastHeader, InvalidReason,
+    Quality, budget_flag, diagnostic_flag, forecast_flag,
 };
 use ratatui::Terminal;
 use ratatui::backend::TestBackend;
@@ -185,6 +185,19 @@ fn problems_are_coloured() {
 }
 
 #[test]
+fn a_cause_stands_before_its_consequence_and_what_is_acknowledged_is_marked() {
+    let mut board = board();
+    let alarms = AlarmSet::default().with(Alarm::NoData).with(Alarm::OutOfRange);
+    board.diagnostics(&[diagnostic(2, alarms)], 0);
+    assert!(table(&board, Some(2)).contains("stale OutOfRange +1"));
+    board.acknowledged(&[Acknowledgement::new(2, Alarm::OutOfRange, 0, "ann").unwrap()]);
+    assert!(table(&board, Some(2)).contains("stale OutOfRange ✓ +1"));
+    assert!(table(&board, None).find("9 open loop") < table(&board, None).find("2 held"));
+    board.acknowledged(&[]);
+    assert!(!table(&board, None).contains('✓'));
+}
+
+#[test]
 fn screen_shows_counters_latencies_and_events() {
     let buffer = draw(&board(), &mut screen(None), 120, 40);
     for text in [
@@ -217,19 +230,19 @@ fn keys_select_robots_within_the_fleet_and_find_the_next_that_stands_out() {
         let (_, line) = line_of(&draw(&board, screen, 120, 40), "━ reading");
         line.split_whitespace().nth(2).unwrap().to_owned()
     };
-    assert_eq!(shown(&mut screen), "2");
+    assert_eq!(shown(&mut screen), "9");
     for (key, robot) in [
         (KeyCode::Down, "5"),
-        (KeyCode::Char('j'), "9"),
-        (KeyCode::Down, "9"),
-        (KeyCode::PageUp, "2"),
-        (KeyCode::PageDown, "9"),
+        (KeyCode::Char('j'), "2"),
+        (KeyCode::Down, "2"),
+        (KeyCode::PageUp, "9"),
+        (KeyCode::PageDown, "2"),
         (KeyCode::Char('k'), "5"),
-        (KeyCode::Home, "2"),
-        (KeyCode::End, "9"),
-        (KeyCode::Char('a'), "5"),
+        (KeyCode::Home, "9"),
+        (KeyCode::End, "2"),
         (KeyCode::Char('a'), "9"),
         (KeyCode::Char('a'), "5"),
+        (KeyCode::Char('a'), "9"),
     ] {
         assert!(!press(&mut screen, &board, [key]));
         assert_eq!(shown(&mut screen), robot, "{key:?}");
@@ -252,7 +265,7 @@ fn listed(board: &Board, screen: &mut Screen) -> Vec<String> {
 }
 
 #[test]
-fn robots_are_sorted_by_name_alarm_battery_and_power_in_either_direction() {
+fn robots_are_sorted_by_urgency_name_battery_and_power_in_either_direction() {
     let mut board = board();
     board.budgets(&[Budget {
         robot: 9,
@@ -262,9 +275,9 @@ fn robots_are_sorted_by_name_alarm_battery_and_power_in_either_direction() {
     }]);
     let mut screen = screen(None);
     for (name, upwards, downwards) in [
+        ("by urgency", ["9", "5", "2"], ["2", "5", "9"]),
         ("by name", ["2", "5", "9"], ["9", "5", "2"]),
         // Unknown values are last either way.
-        ("by alarm", ["9", "5", "2"], ["2", "5", "9"]),
         ("by battery", ["9", "2", "5"], ["2", "9", "5"]),
         ("by power", ["2", "9", "5"], ["2", "9", "5"]),
     ] {
@@ -275,14 +288,14 @@ fn robots_are_sorted_by_name_alarm_battery_and_power_in_either_direction() {
         line_of(&draw(&board, &mut screen, 80, 24), &format!("{name} ↓"));
         press(&mut screen, &board, typed("rs"));
     }
-    line_of(&draw(&board, &mut screen, 80, 24), "by name ↑");
+    line_of(&draw(&board, &mut screen, 80, 24), "by urgency ↑");
 }
 
 #[test]
 fn robots_are_filtered_by_alarm_battery_and_name() {
     let (board, mut screen) = (board(), screen(None));
     for (keys, found, expected) in [
-        ("f", vec!["5", "9"], "2 of 3: alarms"),
+        ("f", vec!["9", "5"], "2 of 3: alarms"),
         ("/stuck", vec!["9"], "1 of 3: \"stuck\""),
         ("/<50", vec!["2"], "1 of 3: \"<50\""),
         ("/9", vec!["9"], "1 of 3: \"9\""),
@@ -293,7 +306,7 @@ fn robots_are_filtered_by_alarm_battery_and_name() {
         assert_eq!(listed(&board, &mut screen), found, "{keys}");
         line_of(&draw(&board, &mut screen, 80, 24), expected);
         assert!(!press(&mut screen, &board, [KeyCode::Esc]), "{keys}");
-        assert_eq!(listed(&board, &mut screen), ["2", "5", "9"], "{keys}");
+        assert_eq!(listed(&board, &mut screen), ["9", "5", "2"], "{keys}");
     }
     // While a search is typed, letters are letters, and are shown.
     press(&mut screen, &board, typed("/quit"));

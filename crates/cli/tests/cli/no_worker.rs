@@ -126,7 +126,10 @@ fn every_verb_that_looks_for_a_worker_names_the_user_who_runs_one() {
     worker.wait_for_line("ready:");
     let (uid, pid) = (format!("uid {OTHER}"), format!("pid {}", worker.pid()));
     let root = theirs.display().to_string();
-    each_says(folder.path(), &[&root, &uid, &pid, "su -s /bin/sh nobody -c", "`joulebus serve --socket"]);
+    each_says(
+        folder.path(),
+        &[&root, &uid, &pid, "su -s /bin/sh nobody -c", "`joulebus serve --socket"],
+    );
     let own = at(&format!("joulebus-{}", geteuid().as_raw()));
     let status = command(&Fleet::new(), &own, "status").output().unwrap();
     assert_contains(&stdout(&status), [root.as_str(), &uid, &pid, "su -s /bin/sh nobody"]);
