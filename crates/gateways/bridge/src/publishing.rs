@@ -108,6 +108,12 @@ impl Publishing {
             never_came(&self.robots, &self.shared);
         }
         self.shared.log_news();
+        // Those of a value are logged with their frame.
+        for refused in self.publisher.refusals().iter().filter(|refused| refused.found.is_none()) {
+            if self.refused.insert((refused.robot, refused.reason.name())) {
+                log_line(&format!("refused: {refused}"));
+            }
+        }
         let found = self.shared.intake().judgement().records().into_iter();
         // A monitor that never changes may be of a robot that stands.
         let found = found.filter(|found| found.finding.is_error());
