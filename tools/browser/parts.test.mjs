@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
+import { together } from "./page/alarms.js";
 import * as address from "./page/address.js";
 import { emptyBoard, take } from "./page/board.js";
 import * as format from "./page/format.js";
@@ -35,6 +36,15 @@ test("numbers carry their unit and sensible digits", () => {
     [format.range(3.46, 3.72, format.watts), "3.46 – 3.72 W"], [format.range(900, 7200, format.energy), "900 J – 2.00 Wh"],
   ];
   for (const [found, expected] of cases) assert.equal(plain(found), expected);
+});
+
+test("changes of many robots at once are one line, and few stay apart", () => {
+  const change = (robot, ms, alarm = "NoData") => ({ robot, alarm, change: "raised", at_unix_ns: ms * 1e6 });
+  const many = [9, 8, 7, 6].map((robot, at) => change(robot, 5000 - at));
+  const few = [5, 4, 3].map((robot) => change(robot, 3500));
+  const shown = together([change(1, 9000), ...many, ...few, change(2, 3500, "StuckSensor")]);
+  assert.deepEqual(shown.map(({ robot, robots }) => [robot, robots]),
+    [[1, undefined], [9, 4], [5, undefined], [4, undefined], [3, undefined], [2, undefined]]);
 });
 
 test("the fan has a point for each horizon and a band as far as there are bounds", () => {

@@ -3,6 +3,9 @@
 import * as format from "./format.js";
 
 const RAISED_SHOWN = 100;
+/** Changes within this time may be one line, if more robots than these have them. */
+const TOGETHER_MS = 1000;
+const APART_UP_TO = 3;
 const SAY_EVERY_MS = 2500;
 const SAID_AT_ONCE = 3;
 
@@ -71,22 +74,35 @@ export function raisedItems(list, raised, nowMs, named = true) {
   });
   const more = raised.length - entries.length;
   if (more > 0) entries.push([["none", `and ${format.count(more)} more`]]);
-  if (entries.length === 0 && named) entries.push([["none", "None."]]);
+  if (entries.length === 0 && named) entries.push([["none", "None. An alarm names the robot, and its card says what to check."]]);
   fill(list, entries);
 }
 
+/** Changes that many robots have at once, as when their source ends, are one: with `robots`. */
+export function together(changes) {
+  const groups = [];
+  for (const change of changes) {
+    const [first] = groups.at(-1) ?? [];
+    const apartMs = first ? Math.abs(format.unixMs(first.at_unix_ns) - format.unixMs(change.at_unix_ns)) : Infinity;
+    if (apartMs < TOGETHER_MS && first.alarm === change.alarm && first.change === change.change) groups.at(-1).push(change);
+    else groups.push([change]);
+  }
+  return groups.flatMap((group) => (group.length > APART_UP_TO ? [{ ...group[0], robots: group.length }] : group));
+}
+
 export function changeItems(list, changes, named = true) {
-  const entries = changes.slice(0, RAISED_SHOWN).map((change) => {
+  const entries = together(changes).slice(0, RAISED_SHOWN).map((change) => {
     const at = format.unixMs(change.at_unix_ns);
     const raised = format.unixMs(change.raised_unix_ns);
     const isEnd = change.change === "cleared" || change.change === "left";
     const by = change.acknowledged && !isEnd ? ` by ${change.acknowledged.by}` : "";
     const lasted = isEnd && at !== null && raised !== null
       ? ` after ${format.duration((at - raised) / 1000)}` : "";
-    return [["at", format.timeOfDay(at)], ...robotPart(named, change.robot), ["alarm", change.alarm, change.robot],
+    return [["at", format.timeOfDay(at)], ...(change.robots ? [["robot", `${format.count(change.robots)} robots`]] : robotPart(named, change.robot)),
+      ["alarm", change.alarm, change.robot],
       [`change ${change.change}`, `${change.change}${by}${lasted}`]];
   });
-  if (entries.length === 0) entries.push([["none", "None since the server started."]]);
+  if (entries.length === 0) entries.push([["none", "None since this page's server started. joulebus alarms FILE lists those of a capture."]]);
   fill(list, entries);
 }
 

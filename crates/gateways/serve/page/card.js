@@ -9,28 +9,34 @@ const form = document.getElementById("acknowledge");
 /** Those that compare a robot with its own level, which can be the new normal. */
 const OF_LEVEL = ["LevelHigh", "LevelLow"];
 const part = (name) => dialog.querySelector(`[data-card="${name}"]`);
-/** The answer of the server, asked for once. */
-let cards = null;
+/** Answers of the server by robot, each asked for once. */
+const cards = new Map();
 
-async function load() {
-  const answer = await fetch("/api/v1/alarms/cards");
+async function load(robot) {
+  const answer = await fetch(`/api/v1/alarms/cards?robot=${robot}`);
   if (!answer.ok) throw new Error(`the server answered ${answer.status}`);
   return answer.json();
 }
 
+const withValue = (card) => (key, at) => (card.values?.[at] ? `${key} = ${card.values[at]}` : key);
+
 async function show(alarm, robot, board) {
   showAcknowledged(alarm, robot, board);
-  cards ??= load();
+  if (!cards.has(robot)) cards.set(robot, load(robot));
   part("alarm").textContent = alarm;
+  part("robot").textContent = `of robot ${robot}`;
+  const refused = (board.fleet?.refusals ?? []).find((each) => each.robot === robot && each.found);
+  part("value").textContent = alarm === "OutOfRange" && refused
+    ? `${format.count(refused.count)} samples refused, the last because ${refused.found}.` : "";
   try {
-    const card = (await cards).find((each) => each.alarm === alarm);
+    const card = (await cards.get(robot)).find((each) => each.alarm === alarm);
     part("mark").className = `mark ${card?.level ?? "warn"}`;
-    part("meaning").textContent = card?.meaning ?? "This server does not know it.";
-    part("check").textContent = card?.check ?? "";
-    part("keys").textContent = card?.keys.join(", ") || "no key";
+    format.setSentence(part("meaning"), card?.meaning ?? "This server does not know it.");
+    format.setSentence(part("check"), card?.check ?? "");
+    part("keys").textContent = card?.keys.map(withValue(card)).join(", ") || "no key";
     part("found").textContent = card?.found_within ?? "";
   } catch (error) {
-    cards = null;
+    cards.delete(robot);
     part("meaning").textContent = `What it means cannot be read: ${error.message}`;
     for (const name of ["check", "keys", "found"]) part(name).textContent = "";
   }

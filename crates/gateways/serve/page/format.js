@@ -136,3 +136,14 @@ export function readingAgeS(robot, agedS) {
   const lateS = isKnown(robot.sample_age_s) && robot.sample_age_s > 0.5 ? robot.sample_age_s : 0;
   return robot.reading_age_ns * 1e-9 + lateS + agedS;
 }
+
+/** A sentence whose words between backticks are code. */
+export function setSentence(node, text) {
+  if (node.said === text) return;
+  node.said = text;
+  node.replaceChildren(...text.split("`").map((piece, at) => {
+    const made = document.createElement(at % 2 === 1 ? "code" : "span");
+    made.textContent = piece;
+    return made;
+  }));
+}

@@ -104,7 +104,8 @@ class Row {
     setText(this.level, robot.level ?? format.UNKNOWN);
     setText(this.id, String(robot.robot));
     setText(this.platform, robot.platform ?? "");
-    const alarms = worstFirst(robot.alarms ?? []).join(", ");
+    const mark = (alarm) => (look.acknowledged.has(`${robot.robot} ${alarm}`) ? `${alarm}\u202f✓` : alarm);
+    const alarms = worstFirst(robot.alarms ?? []).map(mark).join(", ");
     setText(this.cells.alarms, alarms);
     setText(this.brief, alarms || format.quality(robot));
     this.#battery(robot);
@@ -214,7 +215,9 @@ export class RobotList {
     setStyle(this.below, "block-size", `${(board.matched - last) * this.rowHeight}px`);
     this.table.ariaRowCount = String(board.matched + 1);
     this.#rescale();
+    const acknowledged = new Set(board.raised.filter((each) => each.acknowledged).map((each) => `${each.robot} ${each.alarm}`));
     const look = {
+      acknowledged,
       active: this.active, opened: this.state.robot, agedS: this.agedS, scaleW: (platform) => this.#scalesW.get(platform) ?? 1,
     };
     for (let place = 0; place < count; place += 1) {

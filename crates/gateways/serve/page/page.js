@@ -211,7 +211,15 @@ function showTotals() {
   const filtered = state.search !== "" || state.levels.length > 0;
   const matched = filtered ? `${format.count(board.matched)} of ${format.count(board.total)}` : "";
   if (byId("matched").textContent !== matched) byId("matched").textContent = matched;
-  byId("empty").textContent = filtered ? "No robot matches. Escape in the search field clears it." : "No robots yet.";
+  byId("empty").textContent = filtered ? "No robot matches. Escape in the search field clears it." : noRobots(fleet);
+}
+
+/** What to do where no robot is listed. */
+function noRobots(fleet) {
+  const refused = fleet.refusals?.[0];
+  if (refused) return `No robot yet: samples are refused (${refused.reason}). ${refused.found ? `${refused.found}. ` : ""}${refused.remedy}.`;
+  if (fleet.worker.state !== "alive") return "No robots: no worker runs. Start one with: joulebus run --config FILE";
+  return "No robots yet: no source publishes. Start your controller or a bridge, or simulated robots with: joulebus publish sim --config FILE";
 }
 
 /**

@@ -103,8 +103,9 @@ export class RobotView {
     }
     this.part("mark").className = `mark ${format.levelName(robot.level)}`;
     this.part("soc-figure").hidden = !format.isKnown(robot.soc);
-    const hint = format.chargeHint(robot);
-    this.part("no-charge").textContent = hint;
+    const refused = (board.fleet?.refusals ?? []).find((each) => each.robot === this.id && each.found);
+    const hint = refused ? `Samples are refused: ${refused.found}. Remedy: ${refused.remedy}.` : format.chargeHint(robot);
+    format.setSentence(this.part("no-charge"), hint);
     this.part("no-charge").hidden = hint === "";
     this.#weights(robot.learned);
     raisedItems(this.part("alarms"), board.raised.filter((alarm) => alarm.robot === this.id), nowMs, false);

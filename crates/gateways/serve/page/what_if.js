@@ -110,7 +110,8 @@ export function answerFacts(answer) {
   if (used) facts.push(["Energy", `${format.energy(used.mean_j)} (${format.range(used.lo_j, used.hi_j, format.energy)})`]);
   if (left) facts.push(["Left", `${format.energy(left.mean_j)} (at least ${format.energy(left.lo_j)})`]);
   if (left) facts.push(["Probability", format.isKnown(answer.probability) ? format.percent(answer.probability, 1) : "unknown"]);
-  if (format.isKnown(answer.turn_back_s)) facts.push(["Turn back within", format.duration(answer.turn_back_s)]);
+  // With a yes there is no such time: the whole path can be driven.
+  if (format.isKnown(answer.turn_back_s)) facts.push(["Turn back within", `${format.duration(answer.turn_back_s)}, for a sure way back`]);
   const weak = caveats(answer.caveats);
   if (weak) facts.push(["Note", weak]);
   return facts;

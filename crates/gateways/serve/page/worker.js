@@ -88,6 +88,8 @@ export class WorkerView {
       ...counted(fleet.samples_dropped).map(([reason, count]) => [`Dropped: ${reason}`, format.count(count), "bad"]),
       ...(sum(fleet.samples_dropped) === 0 ? [["Dropped", "0"]] : []),
     ]);
+    fillFacts(this.facts("refused"), (fleet.refusals ?? []).map(({ robot, reason, count, found, remedy }) => [
+      `Robot ${robot}: ${reason}`, `${format.count(count)} refused. ${found ? `${found}: ` : ""}${remedy}`, "bad"]));
     fillFacts(this.facts("questions"), [
       ["Answered", format.count(fleet.questions_answered)],
       ...counted(fleet.questions_refused).map(([reason, count]) => [`Refused: ${reason}`, format.count(count)]),

@@ -14,7 +14,8 @@ use axum::routing::{get, post};
 use futures_util::stream;
 use joulebus_board::{CardRecord, OutlookRecord};
 use joulebus_bus::clock;
-use joulebus_config::Config;
+use joulebus_config::settings::Platform;
+use joulebus_config::{Config, KEYS};
 use joulebus_wire::{AlarmCard, Outlook};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -216,9 +217,38 @@ async fn pass_on<T: Serialize + Send + 'static>(
     Ok(json(&asked.await.map_err(defect)??))
 }
 
-async fn cards() -> Response {
-    let cards: Vec<CardRecord> = AlarmCard::all().map(CardRecord::from).collect();
-    json(&cards)
+/// A card with the values of its keys, if those of a robot are asked for.
+#[derive(Serialize)]
+struct CardOfRobot {
+    #[serde(flatten)]
+    card: CardRecord,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    values: Option<Vec<Option<String>>>,
+}
+
+async fn cards(State(app): State<Arc<App>>, uri: Uri) -> Answer {
+    let mut platform = None;
+    for (name, value) in parameters(&uri) {
+        if name != "robot" {
+            return Err(unknown_parameter(&name));
+        }
+        let robot: u32 =
+            value.parse().map_err(|_| ApiError::value(&name, &value, "a robot's id"))?;
+        let has_it = |platform: &Platform| platform.robots.iter().any(|ids| ids.contains(&robot));
+        platform = app.config.settings().platforms.iter().position(has_it);
+    }
+    let value = |platform: usize, key: &&'static str| {
+        // A platform's own limit replaces the fleet's.
+        let own = app.config.value(&format!("platform.{key}"), platform);
+        let found = own.or_else(|| app.config.value(key, platform))?;
+        let unit = KEYS.iter().find(|known| known.path == *key).map_or("", |known| known.unit);
+        Some(format!("{found} {unit}").trim_end().to_owned())
+    };
+    let cards = AlarmCard::all().map(|card| CardOfRobot {
+        card: CardRecord::from(card),
+        values: platform.map(|platform| card.keys.iter().map(|key| value(platform, key)).collect()),
+    });
+    Ok(json(&cards.collect::<Vec<_>>()))
 }
 
 #[derive(Serialize)]

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use joulebus_board::{AheadScores, Board, Counted, Link, UPPER_S};
+use joulebus_connect::refusals::Refused;
 use joulebus_wire::{OUTLOOK_HORIZONS, budget_flag, forecast_flag};
 use serde::Serialize;
 
@@ -27,11 +28,37 @@ pub(super) struct FleetRecord {
     model_hash: Option<String>,
     /// Platforms whose limits of power do not fit their model's training.
     model_warnings: Vec<String>,
+    /// Samples that the worker refuses at present: by robot for values, else by source.
+    refusals: Vec<RefusalRecord>,
     pub(super) totals: Totals,
     /// Processes that record, if they are known.
     recorders: Option<Vec<Recorder>>,
     /// Scores of the outlooks that clients have asked for, by horizon, if any were compared.
     ahead: Option<[AheadScores; OUTLOOK_HORIZONS]>,
+}
+
+/// Refused samples of a robot, or of a source.
+#[derive(Debug, Clone, Serialize)]
+struct RefusalRecord {
+    /// The robot of the newest one.
+    robot: u32,
+    reason: &'static str,
+    count: u64,
+    /// The field, its value and its range. Null if no value is at fault.
+    found: Option<String>,
+    remedy: &'static str,
+}
+
+impl From<&Refused> for RefusalRecord {
+    fn from(refused: &Refused) -> Self {
+        Self {
+            robot: refused.robot,
+            reason: refused.reason.name(),
+            count: refused.count,
+            found: refused.found.clone(),
+            remedy: refused.reason.remedy(),
+        }
+    }
 }
 
 #[derive(Debug, Clone, Serialize)]
@@ -161,6 +188,11 @@ impl FleetRecord {
             questions_refused: board.questions_refused_by_name(),
             model_hash: header.map(|header| format!("{:016x}", header.model_hash)),
             model_warnings: around.model_warnings.to_vec(),
+            refusals: {
+                let of_sources = board.refusals.sources.iter().filter(|one| one.found.is_none());
+                let all = board.refusals.robots.iter().chain(of_sources);
+                all.filter(|refused| refused.is_recent()).map(RefusalRecord::from).collect()
+            },
             totals: Totals::new(board),
             recorders: around.recorders.clone(),
             ahead: board.ahead(),
