@@ -394,9 +394,9 @@ fn screen_fits_every_terminal_size() {
 fn a_tiny_screen_shows_the_selected_robot() {
     let board = board();
     let buffer = draw(&board, &mut screen(Some(9)), 10, 3);
-    assert_eq!(lines(&buffer)[2].trim(), "9 err…");
+    assert_eq!(lines(&buffer)[1].trim(), "9 err…");
     let buffer = draw(&board, &mut screen(Some(9)), 30, 3);
-    assert_eq!(lines(&buffer)[2].trim(), "9 error StuckSensor +1");
+    assert_eq!(lines(&buffer)[1].trim(), "9 error StuckSensor +1");
 }
 
 #[test]

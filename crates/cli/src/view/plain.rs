@@ -53,6 +53,14 @@ pub(crate) fn table(board: &Board, only: Option<u32>) -> String {
             push_row(&mut text, &cells(robot, row, board.outlooks.get(&robot)), &columns);
         }
     }
+    let refused = board.rows.keys().filter(|robot| only.is_none_or(|only| only == **robot));
+    let refused: Vec<_> = refused.filter_map(|robot| board.refused_value(*robot)).collect();
+    for refused in &refused {
+        let _ = writeln!(text, "robot {}: {refused}", refused.robot);
+    }
+    if !refused.is_empty() {
+        return text;
+    }
     let mut shown = board.rows.iter().filter(|(robot, _)| only.is_none_or(|only| only == **robot));
     if let Some((robot, hint)) =
         shown.find_map(|(robot, row)| lacks_charge(row).map(|hint| (robot, hint)))
