@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# From CSV logs to a worker that forecasts, from an empty home: every command as a new user types
+# From a data sheet, and from CSV logs, to a worker that forecasts, from an empty home: every command as a new user types
 # it, with the time that it took.
 #
 #     tools/walks/csv.sh            # builds the programs first, and says how long that took
@@ -33,6 +33,9 @@ fi
 export HOME=$home XDG_STATE_HOME=$home/state PATH=$programs:$PATH
 cd "$home"
 "$repository/tools/walks/logs.sh" logs
+
+step joulebus config init --power 30-200 --speed 1.2 --battery-wh 480 --name cart --out cart
+step joulebus config check cart/fleet.toml
 
 # What is not recognised is named, with the option that states it.
 ! joulebus config init --from logs --out lab >out 2>&1 || { echo "a column of another name was guessed"; exit 1; }
