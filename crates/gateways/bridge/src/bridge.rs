@@ -31,7 +31,7 @@ use crate::mqtt::{AlarmReading, MAX_WAITING, Mqtt, MqttSink, Outlet, Start};
 use crate::outbound::{self, Sink};
 use crate::publishing::{self, PublishedRecord};
 use crate::ros2::{
-    Answering, CLOCK_TOPIC, Counts, MAX_REQUESTS, Reading, Ros2, RosSink, Zenoh, is_zenoh,
+    Answering, CLOCK_TOPIC, Counts, Reading, Requests, Ros2, RosSink, Zenoh, is_zenoh,
 };
 use crate::shared::{NICE, Shared};
 use crate::usual;
@@ -242,12 +242,12 @@ impl Bridge {
             counts: Arc::clone(&self.ros2),
             shared: Arc::clone(&self.shared),
         };
-        let (requests, asked) = sync_channel(MAX_REQUESTS);
+        let requests = Arc::<Requests>::default();
         let reading = Reading {
             routes: ros2.routes.clone(),
             robots: settings.robots.clone(),
             shared: Arc::clone(&self.shared),
-            requests,
+            requests: Arc::clone(&requests),
         };
         let services = ros2.services.clone();
         let ros2 = ros2.clone();
@@ -276,7 +276,7 @@ impl Bridge {
             let (thread, ()) = Background::run("joulebus-answer", move |thread| {
                 yield_to_the_worker(NICE);
                 thread.joined(());
-                answering.run(&asked, thread);
+                answering.run(&requests, thread);
                 Ok(())
             })?;
             self.others.push(thread);

@@ -1,7 +1,6 @@
 //! The thread that answers requests of services: it asks the worker.
 
-use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
 use joulebus_bus::Running;
@@ -20,7 +19,7 @@ use crate::shared::Shared;
 /// Interval of checking whether to end.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Maximum number of requests that wait.
-pub(crate) const MAX_REQUESTS: usize = 64;
+const MAX_REQUESTS: usize = 64;
 /// Timeout of an answer of the worker.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(10);
 /// Polls without a request after which the bridge leaves the worker's clients. While there are any,
@@ -33,6 +32,60 @@ pub(crate) struct Asked {
     pub(super) service: usize,
     pub(super) client: Client,
     pub(super) request: Received,
+}
+
+/// A program that asks, as far as the middleware names it, and the service that it asks.
+type Asker = ([u8; 12], usize);
+
+/// Requests that wait. Of one program as many as it leaves free, and all programs in turns: none
+/// waits for more than one request of each other.
+pub(crate) struct Requests<T = Asked> {
+    waiting: Mutex<Waiting<T>>,
+    arrived: Condvar,
+}
+
+/// Requests in the order of their arrival, each with its round, and the round of the last.
+struct Waiting<T> {
+    requests: Vec<(u64, Asker, T)>,
+    round: u64,
+}
+
+impl<T> Default for Requests<T> {
+    fn default() -> Self {
+        let waiting = Mutex::new(Waiting { requests: Vec::new(), round: 0 });
+        Self { waiting, arrived: Condvar::new() }
+    }
+}
+
+impl<T> Requests<T> {
+    /// Adds a request. Returns false if too many of its program wait.
+    pub(super) fn add(&self, asker: Asker, asked: T) -> bool {
+        let mut waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let own = waiting.requests.iter().filter(|(_, other, _)| *other == asker);
+        let own: Vec<u64> = own.map(|(round, ..)| *round).collect();
+        let free = MAX_REQUESTS - waiting.requests.len();
+        if free == 0 || (own.len() + 1 > free && !own.is_empty()) {
+            return false;
+        }
+        let round = own.last().map_or(waiting.round, |last| last + 1);
+        waiting.requests.push((round, asker, asked));
+        self.arrived.notify_one();
+        true
+    }
+
+    /// The next request, if there is one within [`POLL_INTERVAL`].
+    fn next(&self) -> Option<T> {
+        let waiting = self.waiting.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_empty = |waiting: &mut Waiting<T>| waiting.requests.is_empty();
+        let waited = self.arrived.wait_timeout_while(waiting, POLL_INTERVAL, is_empty);
+        let (mut waiting, _) = waited.unwrap_or_else(PoisonError::into_inner);
+        let rounds = waiting.requests.iter().enumerate();
+        // Of several the first.
+        let (place, _) = rounds.min_by_key(|(_, (round, ..))| *round)?;
+        let (round, _, asked) = waiting.requests.remove(place);
+        waiting.round = round;
+        Some(asked)
+    }
 }
 
 /// Parts that answer requests.
@@ -49,21 +102,17 @@ pub(crate) struct Answering {
 
 impl Answering {
     /// Answers until `thread` is to end.
-    pub(crate) fn run(&self, requests: &Receiver<Asked>, thread: &Running) {
+    pub(crate) fn run(&self, requests: &Requests, thread: &Running) {
         let (mut worker, mut idle_polls) = (None, 0);
         while !thread.is_stopping() {
-            match requests.recv_timeout(POLL_INTERVAL) {
-                Ok(asked) => {
-                    self.answer(&asked, &mut worker);
-                    idle_polls = 0;
-                }
-                Err(RecvTimeoutError::Timeout) => {
-                    idle_polls += 1;
-                    if idle_polls == IDLE_POLLS {
-                        worker = None;
-                    }
-                }
-                Err(RecvTimeoutError::Disconnected) => return,
+            if let Some(asked) = requests.next() {
+                self.answer(&asked, &mut worker);
+                idle_polls = 0;
+                continue;
+            }
+            idle_polls += 1;
+            if idle_polls == IDLE_POLLS {
+                worker = None;
             }
         }
     }
@@ -129,5 +178,26 @@ impl Refusal {
 impl From<ClientError> for Refusal {
     fn from(error: ClientError) -> Self {
         Self { is_of_request: matches!(error, ClientError::Refused(_)), ..Self::new(&error) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_program_waits_for_one_request_of_each_other_and_finds_room() {
+        let requests = Requests::<(u8, u32)>::default();
+        let add = |program: u8, number| requests.add(([program; 12], 0), (program, number));
+        let taken = (0..200).filter(|number| add(1, *number)).count();
+        assert_eq!(taken, MAX_REQUESTS / 2);
+        assert_eq!(requests.next(), Some((1, 0)));
+        assert!(add(2, 0) && add(2, 1) && add(3, 0));
+        let order: Vec<_> = (0..6).filter_map(|_| requests.next()).collect();
+        assert_eq!(order, [(2, 0), (3, 0), (1, 1), (2, 1), (1, 2), (1, 3)]);
+        // Another service of the same program.
+        assert!(requests.add(([1; 12], 1), (4, 0)));
+        assert_eq!(requests.next(), Some((4, 0)));
+        while requests.next().is_some() {}
     }
 }

@@ -44,7 +44,7 @@ use crate::ros2::sink::Topic;
 use crate::ros2::writer::{Client, DdsWriter, Writer};
 use crate::shared::Shared;
 
-pub(crate) use answering::{Answering, MAX_REQUESTS};
+pub(crate) use answering::{Answering, Requests};
 pub(crate) use reading::{CLOCK_TOPIC, Reading};
 pub(crate) use rmw::{Zenoh, is_zenoh};
 pub(crate) use sink::{Counts, RosSink};

@@ -1,7 +1,6 @@
 //! The shared part of both middlewares: the account of messages, and errors.
 
 use std::sync::Arc;
-use std::sync::mpsc::SyncSender;
 use std::time::Duration;
 
 use joulebus_ros_messages::{Clock, decode};
@@ -10,7 +9,7 @@ use rustdds::dds::{CreateError, ReadError};
 use crate::mapping::account::Reason;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::{Received, RosRoute};
-use crate::ros2::answering::Asked;
+use crate::ros2::answering::{Asked, Requests};
 use crate::shared::Shared;
 
 /// The topic of the simulated clock, as in every ROS 2 program.
@@ -44,14 +43,14 @@ pub(crate) struct Reading {
     pub(crate) robots: Robots,
     pub(crate) shared: Arc<Shared>,
     /// Queue of requests of services.
-    pub(crate) requests: SyncSender<Asked>,
+    pub(crate) requests: Arc<Requests>,
 }
 
 impl Reading {
     /// Takes a request of the service `name`. Counts it if too many wait.
     pub(super) fn ask(&self, asked: Asked, name: &str) {
         self.shared.count_message();
-        if self.requests.try_send(asked).is_err() {
+        if !self.requests.add((asked.client.program(), asked.service), asked) {
             self.shared.account().count(name, Reason::NoAnswer, "a request");
             self.shared.log_news();
         }

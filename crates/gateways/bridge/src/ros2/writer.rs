@@ -27,6 +27,21 @@ pub(crate) enum Client {
     Query(u64),
 }
 
+impl Client {
+    /// Names the program, as far as the request does. All clients of zenoh have one name.
+    pub(super) fn program(&self) -> [u8; 12] {
+        let mut name = [0; 12];
+        match self {
+            Self::Sample(request) => {
+                name.copy_from_slice(&request.writer_guid.to_bytes()[..12]);
+            }
+            Self::Header(header) => name[..8].copy_from_slice(&header[..8]),
+            Self::Query(_) => {}
+        }
+        name
+    }
+}
+
 impl Writer {
     /// True if the message is on its way.
     pub(super) fn write(&self, message: Vec<u8>) -> bool {
