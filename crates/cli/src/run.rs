@@ -126,6 +126,7 @@ fn described(config: &Config) -> String {
 fn model_name(model: &ModelSource) -> String {
     match model {
         ModelSource::File(path) => path.display().to_string(),
+        ModelSource::Attached(name, _) => name.to_string(),
         ModelSource::Builtin(name, _) => (*name).to_owned(),
         ModelSource::Persistence { .. } => "persistence".to_owned(),
     }

@@ -3,8 +3,6 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::io;
-use std::path::{Path, PathBuf};
 
 use sha2::{Digest as _, Sha256};
 
@@ -128,25 +126,13 @@ impl Attachments {
         Some(Clock { offset_ns })
     }
 
-    /// Writes the files of `fleet` below `directory`, and returns the path of its config, for
-    /// `Config::load`. `None` if the capture has no config of this fleet.
-    ///
-    /// # Errors
-    /// A file could not be written, or its name would leave the directory.
-    pub fn unpack(&self, fleet: &str, directory: &Path) -> io::Result<Option<PathBuf>> {
-        let prefix = format!("{fleet}/");
-        for file in &self.files {
-            let Some(name) = file.name.strip_prefix(&prefix) else {
-                continue;
-            };
-            let path = below(directory, name)?;
-            if let Some(parent) = path.parent() {
-                std::fs::create_dir_all(parent)?;
-            }
-            std::fs::write(path, &file.bytes)?;
-        }
-        let found = self.config(fleet).is_some();
-        Ok(found.then(|| directory.join(CONFIG)))
+    /// Paths and bytes of the files of `fleet`, as its config names them.
+    #[must_use]
+    pub fn files(&self, fleet: &str) -> Vec<(&str, &[u8])> {
+        let files = self.files.iter().filter_map(|file| {
+            Some((file.name.strip_prefix(fleet)?.strip_prefix('/')?, &file.bytes[..]))
+        });
+        files.collect()
     }
 
     /// Attachments whose bytes differ from their hash in the capture, or that have no hash, and the
@@ -194,17 +180,6 @@ impl Attached {
             data: Cow::Borrowed(&self.bytes),
         }
     }
-}
-
-/// A path below `directory`, for any file name in an untrusted capture.
-fn below(directory: &Path, name: &str) -> io::Result<PathBuf> {
-    let is_plain =
-        |part: &str| !part.is_empty() && part != "." && part != ".." && !part.contains('\\');
-    if !name.split('/').all(is_plain) {
-        let what = format!("attachment {name:?} would leave the directory");
-        return Err(io::Error::other(what));
-    }
-    Ok(directory.join(name))
 }
 
 fn hex(bytes: &[u8]) -> String {

@@ -278,23 +278,24 @@ fn a_capture_brings_its_own_config_and_models() {
     let attachments = reader.attachments();
     assert_eq!(attachments.altered(), Vec::<&str>::new());
     assert_eq!(attachments.fleets().collect::<Vec<_>>(), ["rec"]);
-    let directory = stage.path("unpacked");
-    let unpacked = attachments.unpack("rec", &directory).unwrap().unwrap();
-    let config = Config::load(unpacked).unwrap();
+    let text = attachments.config("rec").unwrap();
+    let config = Config::parse_attached(text, &attachments.files("rec")).unwrap();
     assert_eq!(config.settings(), stage.config.settings());
     assert_eq!(config.policy(), stage.config.policy());
     assert_eq!(config.checkpoint(), &joulebus_config::Checkpoint::Off);
-    let joulebus_config::ModelSource::File(model) = &config.models()[0] else {
+    let joulebus_config::ModelSource::Attached(_, model) = &config.models()[0] else {
         panic!("{:?}", config.models());
     };
     let joulebus_config::ModelSource::Builtin(_, bytes) = &stage.config.models()[0] else {
         panic!("{:?}", stage.config.models());
     };
-    assert_eq!(&std::fs::read(model).unwrap(), bytes);
-    // An untrusted capture cannot write elsewhere.
-    let mut evil = attachments.clone();
-    evil.add("rec/../../x".to_owned(), "", Vec::new());
-    assert!(evil.unpack("rec", &directory).is_err());
+    assert_eq!(&**model, *bytes);
+    // An untrusted capture reads nothing else.
+    for file in ["/etc/hostname", "../../x"] {
+        let evil = text.replace("model = \"models/", &format!("model = \"{file}"));
+        let refused = Config::parse_attached(&evil, &attachments.files("rec")).unwrap_err();
+        assert!(refused.to_string().contains("is not attached"), "{refused}");
+    }
 }
 
 #[test]

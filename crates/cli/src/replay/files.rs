@@ -9,7 +9,7 @@ use std::thread;
 use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::{Attachments, Entry, ReadError, Reader};
 use joulebus_capture_verify::is_comparable;
-use joulebus_config::{Config, ModelSource, is_below};
+use joulebus_config::Config;
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::log_line;
 use joulebus_wire::TICK_RULES;
@@ -136,40 +136,18 @@ impl Files {
         })
     }
 
-    /// The config attached to the capture, or the given one instead. The attached models lie in the
-    /// returned directory.
-    pub(super) fn config(
-        &self,
-        instead: Option<&PathBuf>,
-    ) -> anyhow::Result<(Config, Option<tempfile::TempDir>)> {
+    /// The config attached to the capture with its models, or the given one instead. Files beside
+    /// them are not read.
+    pub(super) fn config(&self, instead: Option<&PathBuf>) -> anyhow::Result<Config> {
         if let Some(path) = instead {
-            return Ok((Config::load(path)?, None));
+            return Ok(Config::load(path)?);
         }
-        let directory =
-            tempfile::tempdir().context("cannot make a directory for the attached models")?;
-        let unpacked = self
-            .attachments
-            .unpack(&self.fleet, directory.path())
-            .context("cannot extract the attached config")?;
-        let Some(path) = unpacked else {
+        let Some(text) = self.attachments.config(&self.fleet) else {
             let fleet = &self.fleet;
             let what = format!("no config of fleet {fleet:?} is attached: give one with --config");
             return Err(UsageError(what).into());
         };
-        // A recorder attaches all files. Those of a foreign capture name nothing that is read here.
-        let config = Config::load_attached(path)?;
-        let files = config.models().iter().filter_map(|model| match model {
-            ModelSource::File(path) => Some(path),
-            _ => None,
-        });
-        let mut elsewhere = files.filter(|path| !is_below(path, directory.path()));
-        if let Some(path) = elsewhere.next() {
-            let path = path.display();
-            let what = format!("the attached config names the model {path}, which is not attached");
-            return Err(UsageError(format!("{what}: give a config with --config")).into());
-        }
-        drop(elsewhere);
-        Ok((config, Some(directory)))
+        Ok(Config::parse_attached(text, &self.attachments.files(&self.fleet))?)
     }
 
     /// All messages of the fleet in file order, read by a separate thread.

@@ -34,7 +34,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let stop = Stop::on_signals()?;
     let files = Files::open(&args.files, args.fleet.as_deref())?;
     // Nothing is computed here, so that the attached models are not needed.
-    let (config, _) = files.config(args.config.as_ref())?;
+    let config = files.config(args.config.as_ref())?;
     if args.config.is_none() {
         check_root(config.root())?;
     }

@@ -35,12 +35,10 @@ struct Computed<R> {
 
 pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = Files::open(&args.files, args.fleet.as_deref())?;
-    let (config, unpacked) = files.config(args.config.as_ref())?;
+    let config = files.config(args.config.as_ref())?;
     let models = load_models(&config)?;
     let tick_rules = files.tick_rules()?;
     files.check_order()?;
-    // A signal ends the computation, and would leave it.
-    drop(unpacked);
     let rules = files.answer_rules();
     let verifier = Verifier::new(config.settings().clone(), models)?;
     let mut verifier = verifier
@@ -68,13 +66,11 @@ pub(super) fn verify(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 pub(super) fn compare(args: &Args, other: &Path, output: Output) -> anyhow::Result<Outcome> {
     let files = Files::open(&args.files, args.fleet.as_deref())?;
-    let (config, unpacked) = files.config(args.config.as_ref())?;
+    let config = files.config(args.config.as_ref())?;
     let network = model_source::load(other)?;
     let settings = config.settings().clone();
     let others = vec![Model::Network(network); settings.platforms.len()];
     let mut what_if = WhatIf::new(settings, load_models(&config)?, others)?;
-    // As above.
-    drop(unpacked);
     let begun = Instant::now();
     let mut messages = files.read();
     let mut times = None;

@@ -68,6 +68,10 @@ fn model(source: &ModelSource) -> Result<Option<(String, Vec<u8>)>, BundleError>
             let name = path.file_name().unwrap_or_default().to_string_lossy();
             Ok(Some((name.into_owned(), bytes)))
         }
+        ModelSource::Attached(path, bytes) => {
+            let name = path.rsplit('/').next().unwrap_or_default();
+            Ok(Some((name.to_owned(), bytes.to_vec())))
+        }
         ModelSource::Builtin(name, bytes) => {
             Ok(Some((format!("{name}.safetensors"), bytes.to_vec())))
         }

@@ -10,6 +10,7 @@ use joulebus_settings::{
 
 use crate::consistency;
 use crate::document::{FleetFile, Listed, RETIRED, Source};
+use crate::files::Attached;
 use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
@@ -98,24 +99,20 @@ impl Config {
     /// The file cannot be read, or it or a platform's file is refused: lists all errors, each with
     /// file, line and remedy.
     pub fn load(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
-        Self::load_within(path.as_ref(), None)
-    }
-
-    /// Same as [`Config::load`], for a config that was attached to a capture. Platform files
-    /// outside its folder are refused, and not read.
-    ///
-    /// # Errors
-    /// Same as [`Config::load`], or such a file.
-    pub fn load_attached(path: impl AsRef<Path>) -> Result<Self, ConfigError> {
         let path = path.as_ref();
-        Self::load_within(path, path.parent())
-    }
-
-    fn load_within(path: &Path, within: Option<&Path>) -> Result<Self, ConfigError> {
         let text = files::read(path)
             .map_err(|source| ConfigError::Read { path: path.to_owned(), source })?;
         let directory = path.parent().unwrap_or(Path::new(""));
-        Self::read(&text, &path.display().to_string(), directory, within)
+        Self::read(&text, &path.display().to_string(), directory, None)
+    }
+
+    /// Reads the text of a fleet's file with the files that it refers to, such as those attached to
+    /// a capture. No others are read.
+    ///
+    /// # Errors
+    /// As [`Config::parse`], or a file that is not among `files`.
+    pub fn parse_attached(text: &str, files: &[(&str, &[u8])]) -> Result<Self, ConfigError> {
+        Self::read(text, "<config>", Path::new(""), Some(files))
     }
 
     /// Reads the text of a fleet's file. Paths in it are relative to `base_dir`.
@@ -126,25 +123,27 @@ impl Config {
         Self::read(text, "<config>", base_dir, None)
     }
 
-    /// Reads a config. Platform files must be below `within`, if it is set.
     fn read(
         text: &str,
         name: &str,
         directory: &Path,
-        within: Option<&Path>,
+        attached: Attached<'_>,
     ) -> Result<Self, ConfigError> {
         let source = Source::new(text, name, Some(directory));
         let mut problems = Vec::new();
         let mut warnings = Vec::new();
         let mut read = source.fleet(&mut problems);
         if !read.cut_short {
-            files::platforms(&mut read, within, &mut problems);
-            consistency::check(&read, &source.name, &mut problems, &mut warnings);
+            files::platforms(&mut read, attached, &mut problems);
+            consistency::check(&read, (&source.name, attached), &mut problems, &mut warnings);
         }
         let (retired, mut problems): (Vec<_>, Vec<_>) =
             problems.into_iter().partition(|problem| problem.what == RETIRED);
         warnings.extend(retired);
-        let built = if problems.is_empty() { Self::build(&read, &mut problems) } else { None };
+        let built = match problems.is_empty() {
+            true => Self::build(&read, attached, &mut problems),
+            false => None,
+        };
         match built {
             Some(config) if problems.is_empty() => Ok(Self { warnings, ..config }),
             _ => {
@@ -156,9 +155,13 @@ impl Config {
     }
 
     /// `None` only together with a problem: every key has been checked before.
-    fn build(read: &FleetFile, problems: &mut Vec<Problem>) -> Option<Self> {
+    fn build(
+        read: &FleetFile,
+        attached: Attached<'_>,
+        problems: &mut Vec<Problem>,
+    ) -> Option<Self> {
         let values = &read.values;
-        let built = Builder::config(read);
+        let built = Builder::config(read, attached);
         let complaint = match &built {
             Some(config) => config.complaint(),
             None => Some(("fleet.name", "a value is missing".to_owned())),
@@ -316,12 +319,12 @@ fn ns(seconds: f64) -> u64 {
 struct Builder<'a>(&'a Values);
 
 impl Builder<'_> {
-    fn config(read: &FleetFile) -> Option<Config> {
+    fn config(read: &FleetFile, attached: Attached<'_>) -> Option<Config> {
         let fleet = Builder(&read.values);
         let platforms: Option<Vec<Platform>> =
             read.platforms.iter().map(|listed| Builder(&listed.values).platform(&fleet)).collect();
         let models: Option<Vec<ModelSource>> =
-            read.platforms.iter().map(|listed| files::model(&listed.values)).collect();
+            read.platforms.iter().map(|listed| files::model(&listed.values, attached)).collect();
         let checkpoint = fleet.checkpoint()?;
         let capacity = consistency::room(read)?;
         Some(Config {

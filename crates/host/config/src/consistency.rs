@@ -9,7 +9,7 @@ use joulebus_settings::bounds;
 
 use crate::cpus;
 use crate::document::{FleetFile, Listed};
-use crate::files::{check_model, complaint};
+use crate::files::{Attached, check_model, complaint};
 use crate::key::{DefaultValue, File, Key};
 use crate::keys::KEYS;
 use crate::problem::Problem;
@@ -22,7 +22,7 @@ const UNASKED_ROBOTS: u64 = 1_000;
 /// Reports every inconsistency. Doubtful values go to `warnings`.
 pub(crate) fn check(
     read: &FleetFile,
-    file: &Arc<str>,
+    (file, attached): (&Arc<str>, Attached<'_>),
     problems: &mut Vec<Problem>,
     warnings: &mut Vec<Problem>,
 ) {
@@ -47,7 +47,7 @@ pub(crate) fn check(
         if !listed.cut_short {
             missing(values, file, Some(&listed.header), problems);
         }
-        check_model(values, problems);
+        check_model(values, attached, problems);
         model(values, problems, warnings);
         times(values, fleet, problems);
         limits(values, problems);

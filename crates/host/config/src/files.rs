@@ -13,6 +13,13 @@ use crate::values::Values;
 /// Maximum size of a config or a model: larger files were named by mistake.
 pub(crate) const MAX_BYTES: u64 = 4 << 20;
 
+/// Paths and bytes of the files that a config may refer to. `None`: those of the file system.
+pub(crate) type Attached<'a> = Option<&'a [(&'a str, &'a [u8])]>;
+
+fn attached<'a>(files: &[(&str, &'a [u8])], path: &Path) -> Option<&'a [u8]> {
+    files.iter().find(|(name, _)| Path::new(name) == path).map(|(_, bytes)| *bytes)
+}
+
 /// The text of a config file.
 pub(crate) fn read(path: &Path) -> io::Result<String> {
     joulebus_files::read_to_string(path, MAX_BYTES)
@@ -24,14 +31,13 @@ pub fn is_below(path: &Path, folder: &Path) -> bool {
     path.starts_with(folder) && path.components().all(|part| part != Component::ParentDir)
 }
 
-/// Reads the file of each platform. Keys in the fleet's file override it. The files must be below
-/// `within`, if it is set.
-pub(crate) fn platforms(fleet: &mut FleetFile, within: Option<&Path>, problems: &mut Vec<Problem>) {
+/// Reads the file of each platform. Keys in the fleet's file override it.
+pub(crate) fn platforms(fleet: &mut FleetFile, files: Attached<'_>, problems: &mut Vec<Problem>) {
     for listed in &mut fleet.platforms {
         if !listed.values.names("platform.file") {
             continue;
         }
-        match platform(&listed.values, within, problems) {
+        match platform(&listed.values, files, problems) {
             Ok(Some(mut of_file)) => {
                 of_file.override_with(std::mem::take(&mut listed.values));
                 listed.values = of_file;
@@ -55,7 +61,7 @@ pub(crate) fn platforms(fleet: &mut FleetFile, within: Option<&Path>, problems: 
 /// The values of the platform's file. `None` together with a problem.
 fn platform(
     values: &Values,
-    within: Option<&Path>,
+    files: Attached<'_>,
     problems: &mut Vec<Problem>,
 ) -> Result<Option<Values>, (String, String)> {
     let Some(file) = values.text("platform.file") else {
@@ -70,17 +76,23 @@ fn platform(
         return Ok(Source::new(text, &file, None).values(File::Platform, problems));
     }
     let path = resolve(values, "platform.file").unwrap_or_else(|| PathBuf::from(&file));
-    if within.is_some_and(|folder| !is_below(&path, folder)) {
-        let what = format!("is {file:?}, which is not attached");
-        return Err((what, "Give a config with --config".to_owned()));
-    }
-    let text = read(&path).map_err(|error| {
-        let what = format!("names {}, which cannot be read: {error}", path.display());
-        (what, "The path is relative to the file that names it".to_owned())
-    })?;
+    let text = match files {
+        Some(files) => {
+            let text = attached(files, &path).and_then(|bytes| str::from_utf8(bytes).ok());
+            text.map(str::to_owned).ok_or_else(|| not_attached(&file))?
+        }
+        None => read(&path).map_err(|error| {
+            let what = format!("names {}, which cannot be read: {error}", path.display());
+            (what, "The path is relative to the file that names it".to_owned())
+        })?,
+    };
     let folder = path.parent().unwrap_or(Path::new(""));
     let source = Source::new(&text, &path.display().to_string(), Some(folder));
     Ok(source.values(File::Platform, problems))
+}
+
+fn not_attached(file: &str) -> (String, String) {
+    (format!("is {file:?}, which is not attached"), "Give a config with --config".to_owned())
 }
 
 /// The path of a key, relative to the directory of the file that sets it. `None` if empty.
@@ -94,7 +106,7 @@ pub(crate) fn resolve(values: &Values, path: &str) -> Option<PathBuf> {
 }
 
 /// The platform's model. `None` if the keys do not determine it.
-pub(crate) fn model(values: &Values) -> Option<ModelSource> {
+pub(crate) fn model(values: &Values, files: Attached<'_>) -> Option<ModelSource> {
     let text = values.text("platform.model")?;
     if text == "persistence" {
         let residual_std_w = values.number("platform.residual_std_w")? as f32;
@@ -104,15 +116,18 @@ pub(crate) fn model(values: &Values) -> Option<ModelSource> {
         let (name, bytes) = builtin::builtin_model(name)?;
         return Some(ModelSource::Builtin(name, bytes));
     }
-    Some(ModelSource::File(resolve(values, "platform.model")?))
+    let path = resolve(values, "platform.model")?;
+    let Some(files) = files else { return Some(ModelSource::File(path)) };
+    let bytes = attached(files, &path)?;
+    Some(ModelSource::Attached(path.display().to_string().into(), bytes.into()))
 }
 
 /// Reports a model that does not exist.
-pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
+pub(crate) fn check_model(values: &Values, files: Attached<'_>, problems: &mut Vec<Problem>) {
     let Some(text) = values.text("platform.model") else {
         return;
     };
-    let (what, remedy) = match (model(values), text.strip_prefix("builtin:")) {
+    let (what, remedy) = match (model(values, files), text.strip_prefix("builtin:")) {
         (None, Some(_)) => {
             let known: Vec<&str> = builtin::builtin_models().collect();
             let what = format!("is {text:?}, and there is no such built-in model");
@@ -132,6 +147,7 @@ pub(crate) fn check_model(values: &Values, problems: &mut Vec<Problem>) {
                     .to_owned(),
             )
         }
+        (None, None) if files.is_some() => not_attached(&text),
         _ => return,
     };
     problems.push(complaint(values, "platform.model", what, remedy));

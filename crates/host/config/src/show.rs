@@ -90,11 +90,9 @@ fn resolved(values: &Values, key: &Key) -> Option<Value> {
             "auto" => return values.get(key.path),
             _ => files::resolve(values, key.path)?,
         },
-        "platform.model" => match files::model(values)? {
+        "platform.model" => match files::model(values, None)? {
             ModelSource::File(path) => path,
-            ModelSource::Builtin(..) | ModelSource::Persistence { .. } => {
-                return values.get(key.path);
-            }
+            _ => return values.get(key.path),
         },
         _ => return values.get(key.path),
     };

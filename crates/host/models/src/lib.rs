@@ -53,6 +53,9 @@ fn load(platform: &str, source: &ModelSource) -> Result<Model, ModelsError> {
             }
             (path.display().to_string(), network)
         }
+        ModelSource::Attached(name, bytes) => {
+            (name.to_string(), Network::from_safetensors(bytes).map(Model::Network))
+        }
         ModelSource::Builtin(name, bytes) => {
             let network = Network::from_safetensors(bytes).map(Model::Network);
             ((*name).to_owned(), network)

@@ -17,6 +17,7 @@ pub fn warnings(config: &Config, models: &[Model]) -> Vec<Problem> {
     let found = each.flat_map(|((platform, model), source)| {
         let name = match source {
             ModelSource::File(path) => path.display().to_string(),
+            ModelSource::Attached(path, _) => path.to_string(),
             _ => model.name().to_owned(),
         };
         [of_power(platform, model, &name), of_period(platform, model, &name)]

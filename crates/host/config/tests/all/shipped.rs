@@ -204,16 +204,21 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     };
     assert_eq!(fs::read(model).unwrap(), b"not parsed");
 
-    // Its platform is below the folder. The platform of a config in another folder is not.
-    assert!(Config::load_attached(at("own-fleet.toml")).is_ok());
+    // The same from memory, where no other file is read.
     let fleet = fs::read_to_string(at("own-fleet.toml")).unwrap();
-    let foreign = at("elsewhere/fleet.toml");
-    fs::create_dir(at("elsewhere")).unwrap();
-    for file in [at("kinds/own.toml").display().to_string(), "../kinds/own.toml".to_owned()] {
-        fs::write(&foreign, fleet.replace("kinds/own.toml", &file)).unwrap();
-        assert!(Config::load(&foreign).is_ok(), "{file}");
-        let refused = Config::load_attached(&foreign).unwrap_err();
-        assert_eq!(refused.problems()[0].key, "platform.file");
+    let platform = fs::read_to_string(at("kinds/own.toml")).unwrap();
+    let platform = platform.replace("../weights", "/weights");
+    let held = [("kinds/own.toml", platform.as_bytes()), ("/weights/own.safetensors", &b"held"[..])];
+    let held = Config::parse_attached(&fleet, &held).unwrap();
+    assert_eq!(held.settings(), config.settings());
+    let ModelSource::Attached(_, bytes) = &held.models()[0] else {
+        panic!("{:?}", held.models());
+    };
+    assert_eq!(&**bytes, b"held");
+    for (path, key) in [("kinds/own.toml", "platform.model"), ("elsewhere.toml", "platform.file")] {
+        let part = [(path, platform.as_bytes())];
+        let refused = Config::parse_attached(&fleet, &part).unwrap_err();
+        assert_eq!(refused.problems()[0].key, key);
         assert!(refused.to_string().contains("is not attached"), "{refused}");
     }
 
