@@ -25,16 +25,30 @@ pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome
     let folder = args.folder.display();
     std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
     let failed = || format!("cannot write the pages into {folder}");
-    let made = tempfile::tempdir().with_context(failed)?;
     // A program of its own beside the verbs.
     for program in [program, external::lab()] {
-        clap_mangen::generate_to(program, made.path()).with_context(failed)?;
-    }
-    // clap_mangen writes in place, through links and into pipes.
-    for page in std::fs::read_dir(made.path()).with_context(failed)? {
-        let page = page.with_context(failed)?;
-        let text = std::fs::read(page.path()).with_context(failed)?;
-        write(&args.folder.join(page.file_name()), &text)?;
+        let mut program = program.disable_help_subcommand(true);
+        program.build();
+        let mut pages = Vec::new();
+        add_pages(&program, &mut pages).with_context(failed)?;
+        for (name, text) in pages {
+            write(&args.folder.join(name), &text)?;
+        }
     }
     Ok(Outcome::Done)
+}
+
+/// Adds the names and texts of the pages of a program and its verbs. clap_mangen's own function
+/// writes in place, through links and into pipes.
+fn add_pages(
+    command: &clap::Command,
+    pages: &mut Vec<(String, Vec<u8>)>,
+) -> Result<(), std::io::Error> {
+    for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
+        add_pages(verb, pages)?;
+    }
+    let (page, mut text) = (clap_mangen::Man::new(command.clone()), Vec::new());
+    page.render(&mut text)?;
+    pages.push((page.get_filename(), text));
+    Ok(())
 }
