@@ -87,7 +87,7 @@ pub(crate) struct Args {
     max_bag_duration: f64,
     /// Keep the last seconds in memory, and save them when a robot raises an alarm or on SIGUSR1.
     /// Each time a new file gets the data since the last one
-    #[arg(long, value_name = "SECONDS", value_parser = seconds)]
+    #[arg(long, value_name = "SECONDS", value_parser = in_memory)]
     snapshot: Option<f64>,
     /// With --snapshot: save on SIGUSR1 only
     #[arg(long, requires = "snapshot")]
@@ -104,6 +104,15 @@ fn seconds(text: &str) -> Result<f64, String> {
     } else {
         Err(format!("{seconds} s: allowed are 0 to 1000000000 s"))
     }
+}
+
+/// A time of which the memory is bounded anyway: more than a day is a mistake.
+fn in_memory(text: &str) -> Result<f64, String> {
+    let found = seconds(text)?;
+    let is_allowed = found <= 86_400.0;
+    is_allowed.then_some(found).ok_or_else(|| {
+        format!("{found} s: allowed are 0 to 86400 s. Without --snapshot all is recorded")
+    })
 }
 
 fn preset(text: &str) -> Result<Preset, String> {

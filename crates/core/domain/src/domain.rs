@@ -145,8 +145,8 @@ pub enum DomainError {
     Root { found: PathBuf },
     /// The root path is too long for the names of sockets below it.
     #[error(
-        "root {root:?} has {found} bytes, allowed are {allowed}: choose a shorter one, such as \
-         /dev/shm/joulebus"
+        "root {root:?} has {found} bytes, allowed are {allowed} with this fleet's name and prefix: \
+         choose a shorter one, such as /dev/shm/joulebus"
     )]
     RootTooLong { found: usize, allowed: usize, root: PathBuf },
 }

@@ -13,7 +13,9 @@ use crate::linear::Linear;
 ///
 /// let residual = ResidualStats { std_w: 0.1, q05_w: -0.2, q95_w: 0.2 };
 /// assert!(residual.check().is_ok());
-/// assert!(ResidualStats { std_w: f32::NAN, ..residual }.check().is_err());
+/// for std_w in [f32::NAN, -0.1, 3e38] {
+///     assert!(ResidualStats { std_w, ..residual }.check().is_err());
+/// }
 /// ```
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ResidualStats {
@@ -25,20 +27,23 @@ pub struct ResidualStats {
     pub q95_w: f32,
 }
 
+/// Largest residual, W: powers of robots are below it.
+const MAX_RESIDUAL_W: f32 = 1e6;
+
 impl ResidualStats {
-    /// Refuses values that are not finite or inconsistent.
+    /// Refuses values that no robot has, and inconsistent ones.
     ///
     /// # Errors
     /// [`ModelError::Field`] with the value, the found and the allowed one.
     pub fn check(&self) -> Result<(), ModelError> {
-        let std_fine = self.std_w >= 0.0 && self.std_w.is_finite();
-        if !std_fine {
-            return Err(ModelError::field("residual_std_w", &self.std_w, "finite and >= 0"));
+        if !(0.0..=MAX_RESIDUAL_W).contains(&self.std_w) {
+            return Err(ModelError::field("residual_std_w", &self.std_w, "0 to 1e6"));
         }
-        let ordered = self.q05_w.is_finite() && self.q95_w.is_finite() && self.q05_w <= self.q95_w;
-        if !ordered {
-            let found = format!("{} to {}", self.q05_w, self.q95_w);
-            return Err(ModelError::field("residual_q05_w to residual_q95_w", &found, "ascending"));
+        let range = -MAX_RESIDUAL_W..=MAX_RESIDUAL_W;
+        let ends = [self.q05_w, self.q95_w];
+        if !(ends.iter().all(|end| range.contains(end)) && self.q05_w <= self.q95_w) {
+            let (found, allowed) = (format!("{} to {}", ends[0], ends[1]), "ascending, -1e6 to 1e6");
+            return Err(ModelError::field("residual_q05_w to residual_q95_w", &found, allowed));
         }
         Ok(())
     }

@@ -169,7 +169,15 @@ pub(crate) fn check_memory(needed: usize) -> Result<(), CapacityError> {
         return Err(CapacityError::Memory { needed, free });
     }
     check_files(1)?;
+    check_file_size(needed)?;
     check_address_space(needed)
+}
+
+fn check_file_size(needed: u64) -> Result<(), CapacityError> {
+    match getrlimit(Resource::Fsize).current {
+        Some(limit) if needed > limit => Err(CapacityError::FileSize { needed, limit }),
+        _ => Ok(()),
+    }
 }
 
 fn check_address_space(needed: u64) -> Result<(), CapacityError> {
@@ -307,6 +315,13 @@ pub enum CapacityError {
         needed.saturating_add(*used).div_ceil(1024)
     )]
     AddressSpace { needed: u64, used: u64, limit: u64 },
+    /// The process may not write files of that size.
+    #[error(
+        "shared memory: a file of {needed} bytes is needed, {limit} allowed. Raise the limit of \
+         sizes of files (`ulimit -f {}`)",
+        needed.div_ceil(1024)
+    )]
+    FileSize { needed: u64, limit: u64 },
     /// The stack may not grow as far as is needed.
     #[error(
         "stack: {needed} bytes needed, {limit} allowed. Raise the limit (`ulimit -s {}`)",
@@ -329,9 +344,9 @@ mod tests {
     #[test]
     fn every_channel_and_its_readers_count() {
         for (capacity, max_planners, [sources, workers, planners], bytes, open_files) in [
-            (64, 8, [1, 1, 1], 16_698_288, 556),
-            (1_000, 32, [4, 1, 9], 154_837_232, 1_228),
-            (10_000, 60, [0, 2, 3], 3_983_760_480, 2_012),
+            (64, 8, [1, 1, 1], 16_032_240, 556),
+            (1_000, 32, [4, 1, 9], 161_475_440, 1_228),
+            (10_000, 60, [0, 2, 3], 4_035_304_224, 2_012),
         ] {
             let limits = Limits { capacity, max_planners, ..Limits::default() };
             let found = needed_bytes(&limits, Ports { sources, workers, planners });

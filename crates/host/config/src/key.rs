@@ -127,7 +127,7 @@ pub enum TextRule {
     Name,
     /// 1 to 8 lower-case letters, digits and `_`.
     Prefix,
-    /// An absolute path of at most 60 bytes. `{uid}` is replaced by the uid.
+    /// An absolute path. `{uid}` is replaced by the uid.
     Root,
     /// `auto`, a path, relative to the file that contains it, or empty.
     StateFile,
@@ -283,7 +283,10 @@ impl TextRule {
         match self {
             Self::Name => "1 to 32 letters, digits, - and _",
             Self::Prefix => "1 to 8 lower-case letters, digits and _",
-            Self::Root => "absolute path of at most 60 bytes; {uid} is replaced by the user id",
+            Self::Root => {
+                "absolute path, of at most 51 bytes with the fleet's name and the prefix; {uid} is \
+                 replaced by the user id"
+            }
             Self::StateFile => "\"auto\", a path relative to this file, or empty",
             Self::Voltages => "2 to 21 rising voltages like \"3.0, 3.6, 4.2\", or empty",
             Self::PlatformFile => "path, relative to this file, or \"builtin:<name>\"",
@@ -306,7 +309,7 @@ impl TextRule {
         match self {
             Self::Name => Some("^[A-Za-z0-9_-]{1,32}$"),
             Self::Prefix => Some("^[a-z0-9_]{1,8}$"),
-            Self::Root => Some("^/.{0,59}$"),
+            Self::Root => Some("^/.{0,48}$"),
             Self::Findings => Some("^[a-z,-]*$"),
             Self::Source => Some("^[^/+#{}]{1,100}$"),
             Self::Level => Some("^[^/+#]{1,200}$"),
@@ -334,7 +337,7 @@ impl TextRule {
             ),
             Self::Root => {
                 text.starts_with('/')
-                    && text.len() <= 60
+                    && text.len() <= 49
                     && !text.contains('\0')
                     && !text.split('/').any(|part| part == "..")
                     && text.replace("{uid}", "").chars().all(|letter| !matches!(letter, '{' | '}'))

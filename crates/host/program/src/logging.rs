@@ -12,7 +12,7 @@ use tracing_subscriber::fmt;
 use tracing_subscriber::layer::{Context, Layer, SubscriberExt as _};
 use tracing_subscriber::util::SubscriberInitExt as _;
 
-use crate::output::{PROGRAM_TARGET, log_line, log_to_objects};
+use crate::output::{LogLines, PROGRAM_TARGET, log_line, log_to_objects};
 
 const VARIABLE: &str = "JOULEBUS_LOG";
 /// Target of the robots' alarms, which are logged at any verbosity.
@@ -59,7 +59,7 @@ pub fn start(verbose: u8, format: LogFormat) {
     let levels = levels.with_target(PROGRAM_TARGET, LevelFilter::INFO);
     let levels = Levels { levels, tap: TAP.get().copied() };
     let registry = tracing_subscriber::registry().with(levels);
-    let layer = fmt::layer().with_writer(io::stderr).with_ansi(io::stderr().is_terminal());
+    let layer = fmt::layer().with_writer(|| LogLines).with_ansi(io::stderr().is_terminal());
     // Fails only if logging was already started. It is then left unchanged.
     let _ = match format {
         LogFormat::Text => registry.with(layer).try_init(),

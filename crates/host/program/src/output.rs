@@ -109,7 +109,11 @@ pub fn log_line(line: &str) {
 /// prints everything through this function.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
-    if !text.contains(is_unprintable) {
+    escaped(text, is_unprintable)
+}
+
+fn escaped(text: &str, is_unprintable: impl Fn(char) -> bool) -> Cow<'_, str> {
+    if !text.contains(&is_unprintable) {
         return Cow::Borrowed(text);
     }
     let mut shown = String::with_capacity(text.len() + 16);
@@ -125,11 +129,29 @@ pub fn printable(text: &str) -> Cow<'_, str> {
 }
 
 fn is_unprintable(letter: char) -> bool {
-    match letter {
-        '\t' | '\n' => false,
-        '\u{200e}' | '\u{200f}' | '\u{061c}' => true,
-        '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' => true,
-        letter => letter.is_control(),
+    !matches!(letter, '\t' | '\n') && (letter.is_control() || is_directional(letter))
+}
+
+/// True for letters that reorder what a terminal shows, or break its lines.
+const fn is_directional(letter: char) -> bool {
+    matches!(
+        letter,
+        '\u{200e}' | '\u{200f}' | '\u{061c}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
+    )
+}
+
+/// stderr for lines of the log, whose control characters are escaped already, unless they colour it.
+pub(crate) struct LogLines;
+
+impl io::Write for LogLines {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        let text = String::from_utf8_lossy(line);
+        io::stderr().write_all(escaped(&text, is_directional).as_bytes())?;
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
     }
 }
 
