@@ -195,7 +195,7 @@ impl LedgerFiles {
         }
         self.clear()?;
         // Whatever comes there meanwhile is not overwritten, and a link is not followed.
-        let mut file = File::create_new(self.unfinished())?;
+        let mut file = disk::create_new(&self.unfinished())?;
         file.write_all(&encode(self.generation + 1, ledger)?)?;
         file.sync_all()?;
         drop(file);

@@ -4,6 +4,7 @@
 
 use std::collections::BTreeMap;
 use std::io::{self, Cursor, Write};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
@@ -274,6 +275,8 @@ fn a_capture_brings_its_own_config_and_models() {
     let recorder = stage.record(Target::File(path.clone()), &Options::default());
     stage.play(2);
     drop(recorder);
+    let mode = std::fs::metadata(&path).unwrap().permissions().mode();
+    assert_eq!(mode & 0o777, 0o600, "it tells where robots were");
     let reader = Reader::open(&path).unwrap();
     let attachments = reader.attachments();
     assert_eq!(attachments.altered(), Vec::<&str>::new());

@@ -2,8 +2,9 @@
 //!
 //! Everything that must survive a crash or a full disk is written only through this module.
 
+use std::fs::Permissions;
 use std::io;
-use std::os::unix::fs::MetadataExt as _;
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, PermissionsExt as _};
 use std::path::{Path, PathBuf};
 
 pub use std::fs::{File, remove_file, rename};
@@ -55,12 +56,39 @@ fn create_synced(path: &Path, mut sync: impl FnMut(&Path) -> io::Result<()>) -> 
 /// Identity of a file, whatever its name: device and inode.
 pub type FileId = (u64, u64);
 
-/// Creates a file whose every write goes to its end.
+/// Mode of what tells where robots were: its owner's alone, whatever the mask.
+const PRIVATE: u32 = 0o600;
+
+/// Creates a private file whose every write goes to its end.
 ///
 /// # Errors
 /// There is one, or that of the system.
 pub fn create_to_append(path: &Path) -> io::Result<File> {
-    File::options().append(true).create_new(true).open(path)
+    File::options().append(true).create_new(true).mode(PRIVATE).open(path)
+}
+
+/// Creates a private file, or empties the one that is there.
+///
+/// # Errors
+/// The system's error.
+pub fn create(path: &Path) -> io::Result<File> {
+    File::options().write(true).create(true).truncate(true).mode(PRIVATE).open(path)
+}
+
+/// Creates a private file.
+///
+/// # Errors
+/// There is one, or that of the system.
+pub fn create_new(path: &Path) -> io::Result<File> {
+    File::options().write(true).create_new(true).mode(PRIVATE).open(path)
+}
+
+/// Makes a file its owner's alone.
+///
+/// # Errors
+/// The system's error.
+pub fn make_private(file: &File) -> io::Result<()> {
+    file.set_permissions(Permissions::from_mode(PRIVATE))
 }
 
 /// The id of an open file.

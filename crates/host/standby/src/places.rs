@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_bus::STANDBY_FILES;
 use joulebus_config::Config;
-use joulebus_files::disk::{self, File};
+use joulebus_files::disk;
 
 /// The files, in the directory of the fleet in shared memory: the last member of the fleet on this
 /// host removes them.
@@ -34,7 +34,7 @@ pub(crate) fn replace(path: &Path, parts: &[&[u8]]) -> io::Result<()> {
     let mut draft = path.as_os_str().to_owned();
     draft.push(".new");
     let draft = PathBuf::from(draft);
-    let written = File::create(&draft).and_then(|mut file| {
+    let written = disk::create(&draft).and_then(|mut file| {
         parts.iter().try_for_each(|part| file.write_all(part))?;
         drop(file);
         disk::rename(&draft, path)

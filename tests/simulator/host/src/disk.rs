@@ -296,6 +296,22 @@ pub fn is_file(path: &Path) -> bool {
 /// Identity of a file, whatever its name.
 pub type FileId = u64;
 
+/// As [`File::create_new`].
+///
+/// # Errors
+/// There is one; the disk fails or is full.
+pub fn create_new(path: &Path) -> io::Result<File> {
+    File::create_new(path)
+}
+
+/// As [`File::create`].
+///
+/// # Errors
+/// The disk fails or is full.
+pub fn create(path: &Path) -> io::Result<File> {
+    File::create(path)
+}
+
 /// Creates a file; all files are written at their end.
 ///
 /// # Errors
