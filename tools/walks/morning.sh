@@ -77,6 +77,9 @@ step until_says 'robot 3: 1 min without readings may have cost up to [0-9]+ %' c
 grep 'without readings' "$home/second.log" | head -n 1
 step until_says 'battery 3 --full' joulebus battery 3 --config fleet.toml
 cat says
+for through in memory worker; do
+    step until_says 'robot 3: [1-9] min without readings' joulebus ask --robot 3 --idle 10 --through $through --config fleet.toml
+done
 
 # What a person states.
 step joulebus battery 0 --full --by ann --config fleet.toml

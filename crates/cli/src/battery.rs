@@ -23,8 +23,8 @@ use crate::ask::refused;
 
 /// Timeout of an answer of the worker.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
-/// Timeout for a worker's budgets, ns.
-const PATIENCE_NS: u64 = 2_500_000_000;
+/// Timeout for a worker's budgets.
+const PATIENCE: Duration = Duration::from_millis(2_500);
 
 /// Show what is known of the robots' batteries, or state that one is full, exchanged or measured
 #[derive(Debug, clap::Args)]
@@ -100,21 +100,34 @@ impl fmt::Display for Stated {
     }
 }
 
-fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<Outcome> {
+/// The newest budgets of these robots, of all if none is named, and whether a worker was seen.
+pub(crate) fn budgets(
+    config: &Config,
+    name: &str,
+    robots: &[u32],
+    patience: Duration,
+) -> anyhow::Result<(Vec<Budget>, bool)> {
     let board = RefCell::new(Board::new(clock::monotonic_ns()));
-    let mut reading = Reading::open(config, "battery", false)?;
-    let saved = learned_capacities(config);
-    let give_up_ns = clock::monotonic_ns() + PATIENCE_NS;
-    let mut list = BatteryList { fleet: config.fleet().to_owned(), robots: Vec::new() };
-    while list.robots.is_empty() && clock::monotonic_ns() < give_up_ns {
+    let mut reading = Reading::open(config, name, false)?;
+    let give_up_ns = clock::monotonic_ns() + patience.as_nanos() as u64;
+    let mut found = Vec::new();
+    while found.is_empty() && clock::monotonic_ns() < give_up_ns {
         reading.poll(|| board.borrow_mut())?;
         let board = board.borrow();
-        let rows = board.rows.values().filter_map(|row| row.budget.as_ref());
-        let wanted = rows.filter(|budget| robot.is_none_or(|robot| budget.robot == robot));
-        list.robots = wanted.map(|budget| BatteryRecord::new(budget, &saved)).collect();
+        let rows = board.rows.values().filter_map(|row| row.budget);
+        let is_wanted = |budget: &Budget| robots.is_empty() || robots.contains(&budget.robot);
+        found = rows.filter(is_wanted).collect();
     }
+    Ok((found, board.into_inner().header().is_some()))
+}
+
+fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<Outcome> {
+    let robots: Vec<u32> = robot.into_iter().collect();
+    let (found, seen) = budgets(config, "battery", &robots, PATIENCE)?;
+    let saved = learned_capacities(config);
+    let robots = found.iter().map(|budget| BatteryRecord::new(budget, &saved)).collect();
+    let list = BatteryList { fleet: config.fleet().to_owned(), robots };
     if list.robots.is_empty() {
-        let seen = board.borrow().header().is_some();
         let why = match (seen, robot) {
             (true, Some(robot)) => format!("the worker has received no samples of robot {robot}"),
             (true, None) => "the worker has received no samples of any robot".to_owned(),

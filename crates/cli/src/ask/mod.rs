@@ -18,6 +18,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
 use joulebus_wire::{Budget, QueryRefusal};
 
+use crate::battery::budgets;
 use crate::configs;
 use point::{PointArgument, ReturnTo};
 
@@ -25,6 +26,8 @@ use point::{PointArgument, ReturnTo};
 const WORKER_TIMEOUT: Duration = Duration::from_secs(3);
 /// The same where there is none when it is asked: one may be starting.
 const START_TIMEOUT: Duration = Duration::from_secs(2);
+/// Timeout for what pauses have cost, beside a worker's answer.
+const BUDGET_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// Moments along a trip.
 const MOMENTS: usize = 48;
@@ -223,6 +226,15 @@ fn divide(configs: &[Config], question: Question) -> Result<(Questions<'_>, Vec<
     Ok((questions, missing))
 }
 
+/// Says what pauses have cost the robots.
+fn note_pauses(budgets: &[Budget]) {
+    for budget in budgets {
+        if let Some(note) = budget.pause_note() {
+            log_line(&format!("robot {}: {note}", budget.robot));
+        }
+    }
+}
+
 /// The robots that a plan is for.
 fn robots(plan: &Plan) -> &[u32] {
     match plan {
@@ -278,11 +290,7 @@ impl Args {
         })?;
         let rows = reply.rows.iter().filter_map(|row| view.rows(row.robot)?.budget);
         let budgets: Vec<Budget> = rows.map(|(_, budget)| budget).collect();
-        for budget in &budgets {
-            if let Some(note) = budget.pause_note() {
-                log_line(&format!("robot {}: {note}", budget.robot));
-            }
-        }
+        note_pauses(&budgets);
         Ok(Asked { config, tick: view.tick(), age_ns: view.age_ns(), reply, missing, budgets })
     }
 
@@ -312,7 +320,12 @@ impl Args {
             error => refused(error, config),
         })?;
         let (tick, age_ns, reply) = (answered.tick, answered.age_ns, answered.reply);
-        Ok(Asked { config, tick, age_ns, reply, missing, budgets: Vec::new() })
+        // The answer stands without them, as where all places of planners are taken.
+        let robots: Vec<u32> = reply.rows.iter().map(|row| row.robot).collect();
+        let read = budgets(config, "ask", &robots, BUDGET_TIMEOUT);
+        let budgets = read.map(|(found, _)| found).unwrap_or_default();
+        note_pauses(&budgets);
+        Ok(Asked { config, tick, age_ns, reply, missing, budgets })
     }
 
     /// Splits several robots into a question about those that are there, and the others. If none
