@@ -1,12 +1,10 @@
 //! `joulebus battery`: what is known of the robots' batteries, and what a person states of one.
 
-use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::time::Duration;
 
-use joulebus_board::{Board, Reading};
-use joulebus_bus::{NoWorker, clock};
+use joulebus_bus::NoWorker;
 use joulebus_config::Config;
 use joulebus_plan::report::{Joules, Lasting};
 use joulebus_planner::PlanClient;
@@ -20,6 +18,7 @@ use serde::Serialize;
 
 use crate::alarms::person;
 use crate::ask::refused;
+use crate::budgets::budgets;
 
 /// Timeout of an answer of the worker.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(5);
@@ -98,27 +97,6 @@ impl fmt::Display for Stated {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(out, "robot {}: {}, states {}", self.robot, self.statement, self.by)
     }
-}
-
-/// The newest budgets of these robots, of all if none is named, and whether a worker was seen.
-pub(crate) fn budgets(
-    config: &Config,
-    name: &str,
-    robots: &[u32],
-    patience: Duration,
-) -> anyhow::Result<(Vec<Budget>, bool)> {
-    let board = RefCell::new(Board::new(clock::monotonic_ns()));
-    let mut reading = Reading::open(config, name, false)?;
-    let give_up_ns = clock::monotonic_ns() + patience.as_nanos() as u64;
-    let mut found = Vec::new();
-    while found.is_empty() && clock::monotonic_ns() < give_up_ns {
-        reading.poll(|| board.borrow_mut())?;
-        let board = board.borrow();
-        let rows = board.rows.values().filter_map(|row| row.budget);
-        let is_wanted = |budget: &Budget| robots.is_empty() || robots.contains(&budget.robot);
-        found = rows.filter(is_wanted).collect();
-    }
-    Ok((found, board.into_inner().header().is_some()))
 }
 
 fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<Outcome> {

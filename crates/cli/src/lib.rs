@@ -32,6 +32,7 @@ mod alarms;
 mod arguments;
 mod ask;
 mod battery;
+mod budgets;
 mod completions;
 mod config;
 mod configs;

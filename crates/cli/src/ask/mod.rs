@@ -18,7 +18,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
 use joulebus_wire::{Budget, QueryRefusal};
 
-use crate::battery::budgets;
+use crate::budgets::budgets;
 use crate::configs;
 use point::{PointArgument, ReturnTo};
 
