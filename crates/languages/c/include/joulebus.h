@@ -568,7 +568,7 @@ typedef struct joulebus_diagnostic_header {
 } joulebus_diagnostic_header;
 
 /**
- * One robot's budget. 144 bytes.
+ * One robot's budget. 176 bytes.
  * The ledger part (drawn_uj, drawn_remainder, metered_ns, unmetered_ns, stamp_ns) is exact:
  * metered_ns + unmetered_ns is the time from the first sample to stamp_ns. The energy left is
  * counted from it and fused with measured states of charge. The truth lies between the bounds (_lo,
@@ -643,8 +643,25 @@ typedef struct joulebus_budget {
     float pause_s;
     /** By how much that time has lowered soc_lo at most, as a share. */
     float pause;
+    /**
+     * Learned capacity, J: energy left is the charge times it. NaN before anything is learned, when
+     * the stated one counts.
+     */
+    float capacity_j;
+    /** Its standard deviation, J. NaN before anything is learned. */
+    float capacity_sd_j;
+    /**
+     * Weight of the pairs of known charges that it is learned from: 1 for one from full to empty,
+     * at most 2.5. 0 before anything is learned.
+     */
+    float capacity_weight;
+    /**
+     * Charging rate in each tenth of the charge, in thousandths of the capacity an hour. 0 if
+     * unknown.
+     */
+    uint16_t charge_rate[10];
     /** 0. */
-    float reserved;
+    uint32_t reserved;
 } joulebus_budget;
 
 /** Header of a frame of budgets. */

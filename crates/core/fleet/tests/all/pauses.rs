@@ -25,7 +25,7 @@ impl Bench {
         settings.platforms.truncate(1);
         let battery = Battery { initial_soc_lo: 0.9, ..Battery::new(CAPACITY_J, 0.0) };
         settings.platforms[0] = Platform {
-            robots: vec![0..=3],
+            robots: vec![0..=9],
             period_ns: PERIOD_NS,
             stale_after_ns: 5 * PERIOD_NS,
             power_min_w: 0.0,
@@ -168,6 +168,26 @@ fn a_statement_reaches_a_robot_that_is_not_in_the_fleet_and_none_without_a_batte
     // The other was off for an hour, as it had said before the worker ended.
     let lost = 0.4 - f64::from(of(0).soc_lo);
     assert!((lost / share(1.5, 60.0) - 1.0).abs() < 0.05, "{lost}");
+}
+
+#[test]
+fn statements_about_robots_that_never_came_cost_no_robot_its_account() {
+    // Of four accounts two are saved, and one is of a robot of the fleet.
+    let mut bench = Bench::new();
+    bench.send(0, 0.1, 4.0);
+    for robot in [0, 2] {
+        let ledger = Ledger::restored((7, 0), 0, 0, 0, bench.now_ns);
+        assert!(bench.fleet.restore(robot, ledger, true, None));
+    }
+    for robot in 3..=9 {
+        bench.fleet.take_statement(robot, Statement::Charge(0.3), bench.now_ns);
+    }
+    // It leaves.
+    bench.now_ns += 8_000_000 * MS;
+    bench.fleet.tick(bench.now_ns, false);
+    assert_eq!((bench.fleet.len(), bench.fleet.accounts_given_up()), (0, 0));
+    let has = |robot| bench.fleet.ledger(robot).is_some();
+    assert_eq!([0, 1, 2, 3, 4, 9].map(has), [true, true, true, true, false, false]);
 }
 
 #[test]
