@@ -1,10 +1,11 @@
 //! Answers are right if everything is known, and never yes if something is not.
 
-use crate::world::{PERIOD_NS, Rows, fleet, model, platform};
+use crate::world::{PERIOD_NS, Rows, fleet, model, platform, settings};
 use joulebus_energy::{Commands, EnergyModel, HORIZONS_S, Limit};
+use joulebus_plan::report::AnswerReport;
 use joulebus_plan::{
     Answer, AskError, Candidates, Differs, Fleet, Frames, Path, PathError, Plan, Platform, Point,
-    Question, Robot, RobotRows, Trip, Unknown, Verdict, rank, rank_each,
+    Question, Robot, RobotRows, Row, Trip, Unknown, Verdict, rank, rank_each,
 };
 use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag, plan_state_flag};
 use proptest::prelude::*;
@@ -44,6 +45,45 @@ fn yes_tight_and_no_follow_from_what_the_battery_can_spare() {
     let probability = |answer: &Answer| answer.probability.expect("known");
     assert!(probability(&answers[0]) > 0.99 && probability(&answers[2]) < 0.01);
     assert!(probability(&answers[1]) > 0.05 && probability(&answers[1]) < 0.95);
+}
+
+#[test]
+fn a_learned_capacity_counts_with_its_error_and_the_time_to_charge_follows_the_plan() {
+    let fleet = fleet();
+    // Half of the stated capacity, up to 30 %.
+    let (stated, mut learned) = (Rows::with_usable(60.0), Rows::with_usable(60.0));
+    let capacity_j = 18_000.0;
+    learned.budget = Budget {
+        left_j: 1_860.0,
+        soc: 1_860.0 / capacity_j,
+        soc_lo: 1_854.0 / capacity_j,
+        soc_sd: 3.0 / capacity_j,
+        capacity_j,
+        capacity_sd_j: 0.3 * capacity_j,
+        // To 80 % in 0.7 hours from 10 %, and slower above.
+        charge_rate: [1_000, 1_000, 1_000, 1_000, 1_000, 1_000, 1_000, 1_000, 500, 250],
+        ..learned.budget
+    };
+    let answers = [&stated, &learned].map(|rows| straight(&rows.robot(&fleet), 0.1, 300));
+    let [before, after] = answers.map(|answer| answer.probability.expect("known"));
+    assert!(before > 0.98 && (0.75..0.9).contains(&after), "{before} {after}");
+    // The monitor that counts the plan has taught the capacity: only its error counts, once.
+    let energy = answers[1].energy.expect("known");
+    assert!((answers[1].margin_j.expect("known") - (54.0 - energy.hi_j)).abs() < 0.01);
+    let left = answers[1].left.expect("known");
+    assert!((left.lo_j - (1_800.0 + 54.0 - energy.hi_j)).abs() < 0.1, "{left:?}");
+    let charge = |budget: Option<&Budget>, to: f64| {
+        let mut report = AnswerReport::new(&settings(), &Row::new(7, answers[1]));
+        report.set_along(&settings(), &[], (budget, Some(to)));
+        serde_json::to_value(report).expect("JSON")["charge"].clone()
+    };
+    let to_80 = charge(Some(&learned.budget), 0.8);
+    let [time_s, most_s] = ["time_s", "most_s"].map(|name| to_80[name].as_f64().expect("known"));
+    assert!((time_s - 3_600.0 * 0.7).abs() < 10.0 && most_s > time_s, "{to_80}");
+    let full = charge(Some(&learned.budget), 1.0);
+    assert!((full["time_s"].as_f64().expect("known") - time_s - 2_160.0).abs() < 1.0, "{full}");
+    assert!(charge(Some(&stated.budget), 0.8)["time_s"].is_null());
+    assert!(charge(None, 0.8)["most_s"].is_null());
 }
 
 #[test]

@@ -6,6 +6,7 @@ use std::path::Path;
 use joulebus_config::Config;
 use joulebus_energy::{CommandModel, EnergyModel, EnergySample, EnergyState};
 use joulebus_plan::{Fleet, Frames, Platform, Robot};
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, SCHEMA_VERSION, budget_flag,
     plan_state_flag,
@@ -34,11 +35,15 @@ pub(crate) fn model() -> EnergyModel {
     }
 }
 
-pub(crate) fn platform() -> Platform {
+pub(crate) fn settings() -> FleetSettings {
     let text = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-99\"]\n\
                 [platform.battery]\ncapacity_wh = 10.0\nreserve = 0.1\ninitial_soc_lo = 0.9\n";
     let config = Config::parse(text, Path::new("/nowhere")).expect("the config is valid");
-    Platform::new(config.settings().platforms[0].clone(), model(), MODEL_HASH)
+    config.settings().clone()
+}
+
+pub(crate) fn platform() -> Platform {
+    Platform::new(settings().platforms[0].clone(), model(), MODEL_HASH)
 }
 
 pub(crate) fn fleet() -> Fleet {
