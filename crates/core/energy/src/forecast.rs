@@ -270,7 +270,7 @@ impl EnergyModel {
         let duration_s = sum.duration_s();
         let (level, changed) = state.level(self, duration_s);
         let share = self.ridge_share(state, duration_s, sum.moves());
-        let (inside, outside) = (1.0 - f64::from(share), f64::from(self.outside_share()));
+        let (inside, outside) = (1.0 - f64::from(share), f64::from(OUTSIDE_SHARE * share));
         let (ridge, period_s) = (&sum.ridge, f64::from(sum.period_s));
         let command_j = period_s
             * (inside * (sum.power_w - ridge.outside_command_w)
@@ -411,23 +411,19 @@ impl EnergyModel {
     }
 
     /// Share of the regression in the power of commands inside the training data. The more exact the
-    /// model is with a level, the less the regression counts. The level of a robot at rest tells a
-    /// plan that moves nothing.
+    /// model is with a level, and the farther that lies from the training's, the less the regression
+    /// counts. The level of a robot at rest tells a plan that moves nothing.
     fn ridge_share(&self, state: &EnergyState, duration_s: f32, moves: bool) -> f32 {
         let Some(ridge) = &self.ridge else { return 0.0 };
-        let (energy_j, time_s) =
-            (state.metered.command_j[LEVELS - 1], state.metered.time_s[LEVELS - 1]);
+        let metered = &state.metered;
+        let (energy_j, time_s) = (metered.command_j[LEVELS - 1], metered.time_s[LEVELS - 1]);
         let rest_w = self.command.weights[0];
         let above_w = (self.command.mean_w - rest_w).max(f32::MIN_POSITIVE);
         let driven = ((energy_j / time_s - rest_w) / above_w).clamp(0.0, 1.0);
         let read_s = if moves && driven < 1.0 { driven * time_s } else { time_s };
         let (_, half) = quantiles::middle_and_half(&self.errors_at(duration_s));
-        ridge.share(if time_s > 0.0 { read_s } else { 0.0 }, half)
-    }
-
-    /// The same of commands outside.
-    fn outside_share(&self) -> f32 {
-        self.ridge.as_ref().map_or(0.0, |_| OUTSIDE_SHARE)
+        let level = metered.energy_j[LEVELS - 1] / energy_j;
+        ridge.share((if time_s > 0.0 { read_s } else { 0.0 }, level), half)
     }
 
     /// The one or the other, and of the regression's power the factor and what is added to it, W.
@@ -435,7 +431,7 @@ impl EnergyModel {
         match self.lies_outside(motion, leverage) {
             true => {
                 let added_w = (1.0 - inside) * level.added_w;
-                (self.outside_share(), level_scale(level, inside), added_w)
+                (OUTSIDE_SHARE * inside, level_scale(level, inside), added_w)
             }
             false => (inside, 1.0, 0.0),
         }
@@ -458,7 +454,7 @@ impl EnergyModel {
                 .map(|all| (all / sum.steps_outside as f64) as f32);
         let level_w = level.factor * command_w + level.added_w;
         let ridge_w = level_scale(level, share) * ridge_w + (1.0 - share) * level.added_w;
-        let expected_w = level_w + self.outside_share() * (ridge_w - level_w);
+        let expected_w = level_w + OUTSIDE_SHARE * share * (ridge_w - level_w);
         if let Some(ridge) = &self.ridge {
             let error_w = ridge.left_out * (spread - share).max(0.0) * expected_w.abs();
             (lowest, highest) =

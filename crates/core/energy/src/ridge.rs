@@ -15,10 +15,16 @@ use crate::command::{CommandModel, Motion};
 pub const RIDGE_TERMS: usize = 7;
 /// Seconds of readings after which the measured level counts as much as the regression, where both
 /// are as exact.
-const START_S: f32 = 10.0;
+const START_S: f32 = 3.0;
+/// Seconds of readings after which half of the distance of a robot's level counts. Slow driving counts
+/// as few of them, and rest as none.
+const LEVEL_S: f32 = 0.3;
+/// Weight of the square of that distance, in the deviation of the power of left-out drives: at half a
+/// deviation the regression counts half.
+const APART: f32 = 4.0;
 /// Greatest deviation of the regression outside its training, in its deviation inside.
 const MAX_SPREAD: f32 = 4.0;
-/// Share of the regression in the power of commands outside the training data. It errs by −48 to
+/// Factor of the regression's share in the power of commands outside the training data. It errs by −48 to
 /// 125 % at twice the training's speed, the command model by −17 to 60 %, with opposite signs.
 pub(crate) const OUTSIDE_SHARE: f32 = 0.5;
 
@@ -47,12 +53,19 @@ pub struct Ridge {
 }
 
 impl Ridge {
-    /// Share of the regression in a plan of a robot with `time_s` seconds of readings. `half`: half
-    /// width of the 90 % interval of the model with a level, relative.
-    pub(crate) fn share(&self, time_s: f32, half: f32) -> f32 {
-        let exact = (half / self.left_out.max(f32::MIN_POSITIVE)).min(1.0);
+    /// Share of the regression in a plan of a robot with `time_s` seconds of readings, which drew this
+    /// `level` in what the command model says of them. `half`: half width of the 90 % interval of the
+    /// model with a level, relative.
+    ///
+    /// The regression has the level of its training. On another floor it errs by what the robot's level
+    /// is apart from that.
+    pub(crate) fn share(&self, (time_s, level): (f32, f32), half: f32) -> f32 {
+        let left_out = self.left_out.max(f32::MIN_POSITIVE);
+        let exact = (half / left_out).min(1.0);
         let start_s = START_S * exact * exact;
-        if time_s > 0.0 { start_s / (start_s + time_s) } else { 1.0 }
+        let apart = time_s / (time_s + LEVEL_S) * (level - 1.0) / (left_out / 1.645);
+        let known = time_s > 0.0 && apart.is_finite();
+        if known { start_s / (start_s + time_s) / (1.0 + APART * apart * apart) } else { 1.0 }
     }
 
     /// Distances of a command from the training's means, in deviations.

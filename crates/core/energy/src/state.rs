@@ -319,13 +319,14 @@ impl Learned {
     fn trust(
         &mut self,
         parts: &Parts,
-        command_j: f32,
-        duration_s: f32,
-        measured_j: f32,
-        mean_j: f32,
+        shadow: usize,
+        (command_j, duration_s, measured_j, mean_j): (f32, f32, f32, f32),
     ) -> [f32; 2] {
-        /// The discount factor of the sums.
-        const KEEPS: f32 = 0.97;
+        /// The discount factor of the sums, by shadow.
+        const KEEPS: [f32; SHADOWS] = [0.98, 1.0, 1.0];
+        /// Weight of an error. Those of 1 s are many, and commands explain more of a second than of a
+        /// minute: they would outvote the long ones.
+        const WEIGHTS: [f32; SHADOWS] = [0.1, 1.0, 1.0];
         /// Errors below this share of the platform's mean do not weigh more.
         const MIN: f32 = 0.02;
         let without_j = parts.without_w * duration_s;
@@ -333,10 +334,10 @@ impl Learned {
         let explained = (with_j - without_j) / mean_j;
         let wanted = (measured_j - without_j) / mean_j;
         // Large errors weigh by their size instead of its square.
-        let weight = 1.0 / (wanted.abs() + explained.abs()).max(MIN);
+        let weight = WEIGHTS[shadow] / (wanted.abs() + explained.abs()).max(MIN);
         let gained = [weight * explained * explained, weight * explained * wanted];
-        let square = KEEPS * self.trust_square + gained[0];
-        let product = KEEPS * self.trust_product + gained[1];
+        let square = KEEPS[shadow] * self.trust_square + gained[0];
+        let product = KEEPS[shadow] * self.trust_product + gained[1];
         if product.is_finite() && square.is_finite() {
             (self.trust_product, self.trust_square) = (product, square);
         }
@@ -504,7 +505,8 @@ impl EnergyState {
         let trust = self.made.command_trust[shadow];
         let forecast_j = parts.level(trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
-        let [square, product] = learned.trust(&parts, command_j, duration_s, measured_j, mean_j);
+        let energies = (command_j, duration_s, measured_j, mean_j);
+        let [square, product] = learned.trust(&parts, shadow, energies);
         for (sum, gained) in new[TRUST].iter_mut().zip(shown_trust(square, product)) {
             *sum += gained;
         }

@@ -29,7 +29,8 @@ use crate::rows;
 /// 6: the stairs of a grid are driven as straight lines; a ridge regression, recorded bounds of
 /// power and limits of the model's recordings.
 ///
-/// 7: a path's energies are sums of parts that all robots share, and a path may have an hour.
+/// 7: a path's energies are sums of parts that all robots share, and a path may have an hour. The ridge
+/// regression counts less for a robot with readings.
 pub const ANSWER_RULES: u32 = 7;
 /// Number of the rules by which a tick computes: increased with each change by which the same
 /// frames get other forecasts, intervals, alarms, budgets or plan states. Captures state it. 1
@@ -43,7 +44,7 @@ pub const ANSWER_RULES: u32 = 7;
 ///
 /// 10: the capacity of batteries and their charging rates are learned. Outlooks have bounds beyond
 /// the horizons whose errors are known. Levels of robots are also compared with those of the
-/// platform's other robots.
+/// platform's other robots. Trust in commands follows the errors of 10 s and more.
 pub const TICK_RULES: u32 = 10;
 
 /// Maximum number of values of a question.
