@@ -410,9 +410,11 @@ impl<'a> Walk<'a> {
     pub(crate) fn new(robot: &'a Robot<'a>, legs: &'a Legs<'a>) -> Self {
         let sum = CommandSum::new(&robot.energy, legs.commands.period_s);
         let at = Mark { progress: Progress::new(sum), load_w: 0.0, done: 0, leg: 0 };
-        let mut first = Self { robot, legs, at, first: None };
-        first.to(1);
-        let first = (!legs.marks.is_empty()).then_some(first.at.progress);
+        let first = (!legs.marks.is_empty()).then(|| {
+            let mut first = Self { robot, legs, at, first: None };
+            first.to(1);
+            first.at.progress
+        });
         Self { robot, legs, at, first }
     }
 
