@@ -3,20 +3,22 @@
 mod path_file;
 mod point;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use std::time::Duration;
 
 use anyhow::anyhow;
 use clap::ArgGroup;
-use joulebus_bus::NoWorker;
+use joulebus_board::{Platforms, model_fit};
+use joulebus_bus::{NoWorker, clock};
 use joulebus_config::Config;
+use joulebus_consumer::{Diagnostics, Feed};
 use joulebus_plan::report::{AnswerReport, AnswersReport};
 use joulebus_plan::{MAX_STEPS, Path, Plan, Question, QuestionError, Reply};
 use joulebus_planner::{ClientError, PlanClient, Planner, QueryError, ViewError};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
-use joulebus_wire::{Budget, QueryRefusal};
+use joulebus_wire::{Budget, DiagnosticHeader, QueryRefusal};
 
 use crate::budgets::budgets;
 use crate::configs;
@@ -271,6 +273,7 @@ impl Args {
     /// Answers here, from shared memory.
     fn compute<'a>(&self, config: &'a Config, question: Question) -> anyhow::Result<Asked<'a>> {
         let mut planner = Planner::with_config(config, "ask")?;
+        let mut diagnostics = planner.subscriber().diagnostics()?;
         let fleet = planner.fleet().clone();
         let domain = config.domain()?;
         let timeout = match NoWorker::look(&domain) {
@@ -291,7 +294,15 @@ impl Args {
         let rows = reply.rows.iter().filter_map(|row| view.rows(row.robot)?.budget);
         let budgets: Vec<Budget> = rows.map(|(_, budget)| budget).collect();
         note_pauses(&budgets);
-        Ok(Asked { config, tick: view.tick(), age_ns: view.age_ns(), reply, missing, budgets })
+        let (tick, age_ns) = (view.tick(), view.age_ns());
+        if let Some(header) = newest_header(&mut diagnostics)? {
+            let platforms = Platforms::new(config.settings());
+            let fit = model_fit(platforms.names(), &header.platforms);
+            let asked: BTreeSet<_> =
+                reply.rows.iter().filter_map(|row| platforms.of_robot(row.robot)).collect();
+            asked.iter().filter_map(|place| fit.get(*place)).for_each(|text| log_line(text));
+        }
+        Ok(Asked { config, tick, age_ns, reply, missing, budgets })
     }
 
     /// Lets the worker answer.
@@ -400,6 +411,18 @@ impl Args {
             missing,
         }
     }
+}
+
+/// The header of the newest diagnostics. `None` if the worker sends none for lack of time.
+fn newest_header(feed: &mut Feed<Diagnostics>) -> anyhow::Result<Option<DiagnosticHeader>> {
+    const LOOKS: u32 = 20;
+    for _ in 0..LOOKS {
+        if let Some(frame) = feed.latest()? {
+            return Ok(Some(*frame.header()));
+        }
+        clock::sleep(Duration::from_millis(10));
+    }
+    Ok(None)
 }
 
 /// The error of a question that the worker does not answer. Where there is no worker, it says whose

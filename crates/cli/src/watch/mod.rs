@@ -116,9 +116,10 @@ impl Args {
         match output.format() {
             Format::Json => output.line(&record)?,
             Format::Text => text(&format!(
-                "{}\n{}",
+                "{}\n{}{}",
                 line(&board, clock::monotonic_ns()).trim_start(),
-                table(&board, self.robot)
+                table(&board, self.robot),
+                board.model_fit().join("\n")
             ))?,
         }
         Ok(Outcome::Done)

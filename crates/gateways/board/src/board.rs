@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 use joulebus_connect::refusals::{Refusals, Refused};
 use joulebus_wire::{
     Acknowledgement, Alarm, AlarmSet, Budget, Diagnostic, DropCounts, Forecast, ForecastHeader,
-    Level, OUTLOOK_HORIZONS, Outlook, QueryCounts, budget_flag,
+    LISTED_MODELS, Level, OUTLOOK_HORIZONS, Outlook, PlatformMemory, QueryCounts, budget_flag,
 };
 
 use crate::ahead::{Ahead, AheadScores};
@@ -170,8 +170,22 @@ pub struct Board {
     pub refusals: Refusals,
     /// Event log, oldest first: time since the start, s, and text.
     pub notes: VecDeque<(f64, String)>,
+    /// Names of the platforms, in the order of the config.
+    platforms: Vec<String>,
+    /// What their robots have shown.
+    memories: Option<[PlatformMemory; LISTED_MODELS]>,
     pooled: Pooled,
     ahead: Ahead,
+}
+
+/// For each platform a sentence on whether its model fits its robots. It begins with the name where
+/// there are several.
+pub fn model_fit(names: &[String], memories: &[PlatformMemory]) -> Vec<String> {
+    let sentence = |(name, memory): (&String, &PlatformMemory)| match names {
+        [_] => memory.sentence(),
+        _ => format!("{name}: {}", memory.sentence()),
+    };
+    names.iter().zip(memories).map(sentence).collect()
 }
 
 impl Board {
@@ -196,6 +210,8 @@ impl Board {
             queries: None,
             refusals: Refusals::default(),
             notes: VecDeque::new(),
+            platforms: Vec::new(),
+            memories: None,
             pooled: Pooled::default(),
             ahead: Ahead::default(),
         }
@@ -318,6 +334,26 @@ impl Board {
     /// their monotonic times, ns.
     pub fn know_raises(&mut self, raises: HashMap<(u32, u16), u64>) {
         self.raises = raises;
+    }
+
+    /// The names of the platforms, in the order of the config.
+    pub fn name_platforms(&mut self, names: Vec<String>) {
+        self.platforms = names;
+    }
+
+    /// What the robots of each platform have shown. The event log gets it once it is known.
+    pub fn memories(&mut self, memories: &[PlatformMemory; LISTED_MODELS], now_ns: u64) {
+        let is_known = |memory: &PlatformMemory| memory.robots >= PlatformMemory::ENOUGH;
+        let before = self.memories.replace(*memories).unwrap_or_default();
+        let news = memories.iter().zip(&before).map(|(now, then)| is_known(now) & !is_known(then));
+        let at_s = self.seconds(now_ns);
+        let fit = model_fit(&self.platforms, memories).into_iter().zip(news);
+        self.notes.extend(fit.filter(|(_, is_news)| *is_news).map(|(text, _)| (at_s, text)));
+    }
+
+    /// [`model_fit`] of the platforms, as the worker told it last.
+    pub fn model_fit(&self) -> Vec<String> {
+        self.memories.map_or_else(Vec::new, |memories| model_fit(&self.platforms, &memories))
     }
 
     /// Adds a frame of diagnostics.

@@ -203,7 +203,10 @@ impl Reading {
                     if !std::mem::replace(&mut self.knows_raises, true) {
                         let run = diagnostics.header().worker_epoch;
                         board.know_raises(raises(&self.config, run));
+                        let platforms = self.config.settings().platforms.iter();
+                        board.name_platforms(platforms.map(|one| one.name.clone()).collect());
                     }
+                    board.memories(&diagnostics.header().platforms, now_ns);
                     board.diagnostics(diagnostics.robots(), now_ns);
                 }
                 if let Some(budgets) = budgets {

@@ -13,7 +13,7 @@ mod stages;
 
 pub use ahead::AheadScores;
 pub use alarm::{AcknowledgedRecord, AlarmRecord, CardRecord};
-pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun};
+pub use board::{Board, Link, Newest, Point, Raised, Row, WorkerRun, model_fit};
 pub use feed::{Feed, FeedError, Reading};
 pub use record::{FrameRecord, LearnedRecord, OutlookRecord, RobotRecord, quality_name};
 pub use scores::Scores;

@@ -31,6 +31,8 @@ pub struct FrameRecord {
     questions_refused: BTreeMap<&'static str, u64>,
     /// Frames overwritten before this planner read them, since its start.
     frames_missed: u64,
+    /// Whether the model of each platform fits its robots, in a sentence.
+    model_fit: Vec<String>,
     robots: Vec<RobotRecord>,
 }
 
@@ -188,6 +190,7 @@ impl FrameRecord {
             questions_answered: board.queries.map(|counts| counts.answered),
             questions_refused: board.questions_refused_by_name(),
             frames_missed: board.frames_missed,
+            model_fit: board.model_fit(),
             robots,
         })
     }

@@ -103,6 +103,7 @@ export class WorkerView {
     return [
       ["Worker", fleet.worker?.pid ? `pid ${fleet.worker.pid}` : format.UNKNOWN],
       ["Model", fleet.model_hash ?? format.UNKNOWN],
+      ...(fleet.model_fit ?? []).map((sentence) => ["Does it fit?", sentence]),
       ...(fleet.model_warnings ?? []).map((warning) => ["Model", warning, "bad"]),
       ["Recorder", recorders],
     ];

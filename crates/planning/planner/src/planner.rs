@@ -114,6 +114,11 @@ impl Planner {
         &self.fleet
     }
 
+    /// The readers of the worker's other channels are opened with it.
+    pub const fn subscriber(&self) -> &Subscriber {
+        &self.subscriber
+    }
+
     /// The newest frame, without waiting. `None` until the first has arrived. Its robots answer
     /// as of now: ask again for a newer view before the next questions.
     ///

@@ -30,6 +30,8 @@ pub(super) struct FleetRecord {
     model_warnings: Vec<String>,
     /// Samples that the worker refuses at present: by robot for values, else by source.
     refusals: Vec<RefusalRecord>,
+    /// Whether the model of each platform fits its robots, in a sentence.
+    model_fit: Vec<String>,
     pub(super) totals: Totals,
     /// Processes that record, if they are known.
     recorders: Option<Vec<Recorder>>,
@@ -193,6 +195,7 @@ impl FleetRecord {
                 let all = board.refusals.robots.iter().chain(of_sources);
                 all.filter(|refused| refused.is_recent()).map(RefusalRecord::from).collect()
             },
+            model_fit: board.model_fit(),
             totals: Totals::new(board),
             recorders: around.recorders.clone(),
             ahead: board.ahead(),
