@@ -235,8 +235,7 @@ fn what_is_published_does_not_change_what_is_alarmed() {
     assert!(online.first_s.contains_key(&(0, Alarm::LevelHigh.name())), "{:?}", online.first_s);
 }
 
-/// The table of `joulebus_settings::bounds::FALSE_LEVELS`: false alarms of levels in 200 robots for
-/// an hour.
+/// False alarms of levels in 200 robot hours.
 #[test]
 #[ignore = "prints figures for minutes: CONTRIBUTING.md has the command"]
 fn false_alarms_of_levels() {
@@ -246,9 +245,6 @@ fn false_alarms_of_levels() {
         let runs: Vec<Raised> = seeds.map(of).collect();
         let count: usize = runs.iter().map(|run| run.levels[1]).sum();
         println!("limit {limit}: {count} in {:.0} robot hours", total(&runs).1);
-        if limit == 8.0 {
-            assert!(count <= 1, "{count}");
-        }
     }
 }
 
