@@ -101,7 +101,7 @@ pub(super) mod tests {
         assert_eq!(lines[0], "fleet lab, robot 7: LevelHigh raised (warn) http://page/?robot=7");
         let end = "LevelHigh cleared after 90.0 s, acknowledged by ann http://page/?robot=7";
         assert_eq!(lines[2], format!("fleet lab, robot 7: {end}"));
-        assert!(lines[3].starts_with("LevelHigh: The robot draws"), "{lines:?}");
+        assert!(lines[3].starts_with("LevelHigh: For the same commands"), "{lines:?}");
     }
 
     #[test]
