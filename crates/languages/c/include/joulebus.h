@@ -1294,6 +1294,28 @@ typedef struct joulebus_sent {
 } joulebus_sent;
 
 /**
+ * Samples of a source that the worker refuses, for the most frequent reason.
+ */
+typedef struct joulebus_not_taken {
+    /**
+     * How many in this run. 0: none is refused at present.
+     */
+    uint64_t count;
+    /**
+     * Reason code, as in joulebus_refusal.
+     */
+    uint32_t reason;
+    /**
+     * The robot of the last one.
+     */
+    uint32_t robot;
+    /**
+     * Reason, field, value and remedy in words, cut at the end. Empty if none is refused.
+     */
+    char text[320];
+} joulebus_not_taken;
+
+/**
  * Counts of a publisher.
  */
 typedef struct joulebus_publisher_counts {
@@ -1800,6 +1822,15 @@ joulebus_error joulebus_publisher_publish_samples(struct joulebus_publisher *pub
  */
 joulebus_error joulebus_publisher_get_counts(struct joulebus_publisher *publisher,
                                              struct joulebus_publisher_counts *counts);
+
+/**
+ * Reads which samples of this run the worker refuses, and why: another source has the robots, a
+ * newer process of the same name has taken over, a value is out of range. The worker tells it
+ * twice a second in a file, which this reads: call it now and then. Without a worker on this host
+ * nothing is known.
+ */
+joulebus_error joulebus_publisher_get_not_taken(struct joulebus_publisher *publisher,
+                                                struct joulebus_not_taken *not_taken);
 
 /**
  * Leaves the fleet. A worker that has not noticed this source yet takes none of its frames. NULL

@@ -307,6 +307,16 @@ public:
         return counts;
     }
 
+    /** Samples of this run that the worker refuses, with reason and remedy. Its `count` is 0 if none is. */
+    Result<joulebus_not_taken> not_taken() const {
+        joulebus_not_taken not_taken{};
+        auto code = joulebus_publisher_get_not_taken(handle_.get(), &not_taken);
+        if (code != JOULEBUS_ERROR_NONE) {
+            return last_error(code);
+        }
+        return not_taken;
+    }
+
     /**
      * Leaves the fleet, and returns an error if that is refused. The destructor does the same, and
      * cannot return one.

@@ -6,7 +6,9 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 
 use joulebus_publisher::plausibility::{Kind, Source};
-use joulebus_publisher::{Charger, Config, Judgement, Publisher as Port, RobotState, clock};
+use joulebus_publisher::{
+    Charger, Config, Judgement, Publisher as Port, Refused, RobotState, clock,
+};
 use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
@@ -75,10 +77,15 @@ impl PublisherPort {
             let message = CString::new(format!("implausible: {news}"))?;
             PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
         }
+        if let Some(not_taken) = &sent.not_taken
+            && self.is_first((u32::MAX, not_taken.reason.name()))
+        {
+            let message = CString::new(not_taken.to_string())?;
+            PyErr::warn(py, &py.get_type::<PyRuntimeWarning>(), &message, 2)?;
+        }
         if let Some(first) = &sent.first_refused {
             let what = (first.robot, first.reason.name());
-            let is_new = self.warned.lock().is_ok_and(|mut warned| warned.insert(what));
-            if is_new {
+            if self.is_first(what) {
                 let more = match sent.refused - 1 {
                     0 => String::new(),
                     more => format!("; {more} more of this frame"),
@@ -99,6 +106,16 @@ impl PublisherPort {
         py.detach(|| self.thread.ask(counts))?
     }
 
+    /// Reason, samples, robot of the last one, and the whole in words.
+    fn refusals(&self, py: Python<'_>) -> PyResult<Vec<(&'static str, u64, u32, String)>> {
+        let refusals = |port: &mut Option<Port>| {
+            let all = port.as_ref().ok_or_else(closed)?.refusals().into_iter();
+            let told = |one: Refused| (one.reason.name(), one.count, one.robot, one.to_string());
+            Ok(all.map(told).collect())
+        };
+        py.detach(|| self.thread.ask(refusals))?
+    }
+
     /// Leaves the fleet.
     fn close(&self, py: Python<'_>) -> PyResult<()> {
         py.detach(|| self.thread.ask(|port| *port = None))
@@ -106,6 +123,11 @@ impl PublisherPort {
 }
 
 impl PublisherPort {
+    /// True once for each robot and reason.
+    fn is_first(&self, what: (u32, &'static str)) -> bool {
+        self.warned.lock().is_ok_and(|mut warned| warned.insert(what))
+    }
+
     /// Judges these states. News wait until they are reported.
     fn judge(&self, robots: &[RobotState]) {
         let now_ns = clock::monotonic_ns();

@@ -379,6 +379,32 @@ def test_a_sample_that_the_worker_refuses_is_warned_of_at_once_and_once(fleet):
             publisher.publish([10_000], power=3.5)
 
 
+def test_a_publisher_learns_that_another_source_has_its_robots(fleet):
+    fleet.start()
+    with joulebus.Publisher(fleet.config, "first") as first, joulebus.Planner(fleet.config) as planner:
+        def has_robot() -> bool:
+            first.publish([1], v=0.1, omega=0.0, power=3.5)
+            frame = planner.next(0.1)
+            return isinstance(frame, joulebus.Frame) and len(frame) == 1
+
+        until("the first source to have the robot", has_robot, fleet)
+        with joulebus.Publisher(fleet.config, "second") as second, warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+
+            def is_told() -> bool:
+                has_robot()
+                second.publish([1], v=0.1, omega=0.0, power=3.5)
+                return len(caught) > 0
+
+            until("the second one to be told", is_told, fleet)
+            assert "(ForeignSource)" in str(caught[0].message) and "end one of the two" in str(caught[0].message)
+            refusal = second.refusals()[0]
+            assert (refusal.reason, refusal.robot) == ("ForeignSource", 1) and 0 < refusal.count <= second.samples_sent
+            for _ in range(5):
+                is_told()
+            assert len(caught) == 1 and first.refusals() == []
+
+
 def test_configs_that_are_refused_say_what_the_program_says(program, tmp_path):
     config = tmp_path / "wrong.toml"
     config.write_text('[fleet]\nname = "a"\ncapacity = -3\n')

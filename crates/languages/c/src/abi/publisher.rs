@@ -6,8 +6,8 @@ use ::joulebus_publisher::{Charger, Config, PublishError, Publisher, RobotState,
 use joulebus_wire::{Sample, sample_flag};
 
 use crate::abi::types::{
-    joulebus_error, joulebus_publisher, joulebus_publisher_counts, joulebus_robot_state,
-    joulebus_sent,
+    joulebus_error, joulebus_not_taken, joulebus_publisher, joulebus_publisher_counts,
+    joulebus_robot_state, joulebus_sent,
 };
 use crate::failure::{Failure, entry};
 use crate::handles::{self, kind};
@@ -118,6 +118,34 @@ pub unsafe extern "C" fn joulebus_publisher_get_counts(
             })
         };
         counts.set(handles::with(publisher, of)?);
+        Ok(())
+    })
+}
+
+/// Reads which samples of this run the worker refuses, and why: another source has the robots, a
+/// newer process of the same name has taken over, a value is out of range. The worker tells it
+/// twice a second in a file, which this reads: call it now and then. Without a worker on this host
+/// nothing is known.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn joulebus_publisher_get_not_taken(
+    publisher: *mut joulebus_publisher,
+    not_taken: *mut joulebus_not_taken,
+) -> joulebus_error {
+    entry(|| {
+        // SAFETY: the caller's promises, in joulebus.h.
+        let mut not_taken = unsafe { out("not_taken", not_taken) }?;
+        let all = handles::with(publisher, |publisher: &mut Publisher| Ok(publisher.refusals()))?;
+        let mut told = joulebus_not_taken { count: 0, reason: 0, robot: 0, text: [0; 320] };
+        if let Some(refused) = all.iter().find(|refused| refused.is_recent()) {
+            (told.count, told.robot) = (refused.count, refused.robot);
+            told.reason = refused.reason as u32 + 1;
+            let last = told.text.len() - 1;
+            // Of ASCII, so no letter is cut.
+            for (to, from) in told.text[..last].iter_mut().zip(refused.to_string().bytes()) {
+                *to = from.cast_signed() as c_char;
+            }
+        }
+        not_taken.set(told);
         Ok(())
     })
 }

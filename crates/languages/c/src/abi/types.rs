@@ -1,6 +1,8 @@
 //! Structs of calls. Those that lie in shared memory are `joulebus-wire`'s.
 #![allow(non_camel_case_types, reason = "named as in C")]
 
+use std::ffi::c_char;
+
 use joulebus_wire::{
     AnswerRow, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader,
     Outlook, OutlookHeader,
@@ -105,6 +107,20 @@ pub struct joulebus_sent {
     pub woken: u32,
     /// Samples of it that the worker refuses for their values, by the limits of the config.
     pub refused: u32,
+}
+
+/// Samples of a source that the worker refuses, for the most frequent reason.
+#[repr(C)]
+#[derive(Debug, Clone, Copy)]
+pub struct joulebus_not_taken {
+    /// How many in this run. 0: none is refused at present.
+    pub count: u64,
+    /// Reason code, as in joulebus_refusal.
+    pub reason: u32,
+    /// The robot of the last one.
+    pub robot: u32,
+    /// Reason, field, value and remedy in words, cut at the end. Empty if none is refused.
+    pub text: [c_char; 320],
 }
 
 /// Counts of a publisher.

@@ -112,6 +112,10 @@ static void publishing(void) {
     joulebus_publisher_counts counts;
     OK(joulebus_publisher_get_counts(one, &counts));
     HOLDS(counts.frames_sent == 3 && counts.samples_sent == 8);
+    joulebus_not_taken not_taken;
+    OK(joulebus_publisher_get_not_taken(one, &not_taken));
+    HOLDS(not_taken.count == 0 && not_taken.text[0] == 0);
+    REFUSED(joulebus_publisher_get_not_taken(one, NULL), ARGUMENT, "not_taken is NULL");
     size_t many = counts.capacity + 1;
     joulebus_robot_state *crowd = calloc(many, sizeof *crowd);
     for (size_t robot = 0; robot < many; robot++) {

@@ -61,7 +61,9 @@ from .bags import read_bag
 from .demonstration import Demo, demo
 from .figures import Figure
 from .lab import Analysis, Evaluation, Report, Simulation, Training, analyze, evaluate, report, simulate, train
-from .live import BUDGET, DIAGNOSTIC, FORECAST, OUTLOOK, OUTLOOK_S, Forecast, Frame, Gone, Planner, Publisher, Stale, Table
+from .live import (
+    BUDGET, DIAGNOSTIC, FORECAST, OUTLOOK, OUTLOOK_S, Forecast, Frame, Gone, Planner, Publisher, Refusal, Stale, Table,
+)
 from .network import arrays, forward
 from .predictor import Predictor
 from .questions import Answer, Answers
@@ -93,6 +95,7 @@ __all__ = [
     "Predictor",
     "PublishError",
     "Publisher",
+    "Refusal",
     "ReadError",
     "RecordingDamaged",
     "RecordingError",

@@ -8,7 +8,7 @@ import time
 import weakref
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Iterator, Mapping
+from typing import Any, Iterator, Mapping, NamedTuple
 
 import numpy as np
 
@@ -422,6 +422,15 @@ class Planner(_Connection):
         return self._ports.status()
 
 
+class Refusal(NamedTuple):
+    """Samples that the worker has refused: reason, number, robot of the last one, and what to do."""
+
+    reason: str
+    count: int
+    robot: int
+    text: str
+
+
 class Publisher(_Connection):
     """Sends what a fleet controller commanded and measured, one frame for all robots per control tick.
 
@@ -445,6 +454,11 @@ class Publisher(_Connection):
         """
         readers, _, _ = self._ports.publish(ids, columns, intended_ns)
         return readers
+
+    def refusals(self) -> list[Refusal]:
+        """Samples of this run that the worker has refused, by reason, the most frequent first. `publish` warns once
+        of each reason. Empty without a worker on this host."""
+        return [Refusal(*found) for found in self._ports.refusals()]
 
     @property
     def frames_sent(self) -> int:
