@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod judgement;
+mod not_taken;
 mod pace;
 mod publisher;
 mod state;
@@ -15,6 +16,7 @@ pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_plausibility as plausibility;
 pub use joulebus_wire as wire;
 pub use judgement::{Implausible, Judgement};
+pub use not_taken::NotTaken;
 pub use pace::{Grid, Pace, Slot};
-pub use publisher::{NotTaken, PublishError, Publisher, Sent};
+pub use publisher::{PublishError, Publisher, Sent};
 pub use state::{Charger, RobotState};

@@ -8,9 +8,10 @@ use joulebus_config::Config;
 use joulebus_config::settings::RefusedSample;
 use joulebus_connect::refusals::{Refusals, Refused};
 use joulebus_connect::{ConnectError, join};
-use joulebus_wire::{DropReason, SCHEMA_VERSION, Sample, SampleHeader, fnv1a, sample_flag};
+use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, fnv1a, sample_flag};
 
 use crate::RobotState;
+use crate::not_taken::NotTaken;
 use crate::state::Registry;
 use crate::watch::Watch;
 
@@ -75,39 +76,6 @@ pub struct Sent {
     /// Samples of this run that the worker has refused, if it still does. Of a publisher that
     /// judges, some two seconds old. [`Publisher::refusals`] has all reasons.
     pub not_taken: Option<NotTaken>,
-}
-
-/// Samples of a source that its worker refuses, for the most frequent reason.
-///
-/// [`Publisher`] has an example.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub struct NotTaken {
-    /// The reason. [`DropReason::remedy`] states the remedy.
-    pub reason: DropReason,
-    /// How many.
-    pub count: u64,
-    /// The robot of the last one.
-    pub robot: u32,
-}
-
-impl NotTaken {
-    /// `None` if no sample is refused any more.
-    pub(crate) fn of(source: &[Refused]) -> Option<Self> {
-        let first = source.iter().find(|refused| refused.is_recent())?;
-        Some(Self { reason: first.reason, count: first.count, robot: first.robot })
-    }
-}
-
-impl fmt::Display for NotTaken {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (count, name, robot) = (self.count, self.reason.name(), self.robot);
-        let remedy = self.reason.remedy();
-        write!(
-            out,
-            "the worker has refused {count} samples ({name}), the last of robot {robot}: {remedy}"
-        )
-    }
 }
 
 impl Publisher {

@@ -11,7 +11,8 @@ use joulebus_connect::findings::FindingsFile;
 use joulebus_connect::refusals::Refusals;
 use joulebus_plausibility::{Kind, Source};
 
-use crate::{Charger, Judgement, NotTaken, RobotState};
+use crate::not_taken::NotTaken;
+use crate::{Charger, Judgement, RobotState};
 
 /// Interval of judging the states that were published meanwhile.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);

@@ -10,7 +10,6 @@ use joulebus_wire::{
 
 use crate::ahead::{Ahead, AheadScores};
 use crate::scores::{Pooled, Scores};
-use crate::sort::{Sort, SortKey};
 use crate::stages::Stages;
 
 /// Length of a robot's track and of the latency history, ticks: eight seconds at 30 Hz.
@@ -397,16 +396,6 @@ impl Board {
                 row.acknowledged = row.acknowledged.with(one.alarm());
             }
         }
-    }
-
-    /// Ids of all robots, the most urgent first.
-    #[must_use]
-    pub fn by_urgency(&self) -> Vec<u32> {
-        let sort = Sort::Urgency;
-        let mut keys: Vec<SortKey> =
-            self.rows.iter().map(|(robot, row)| sort.key(*robot, &row.newest())).collect();
-        keys.sort_unstable_by(|a, b| sort.compare(false, a, b));
-        keys.iter().map(SortKey::robot).collect()
     }
 
     /// Replaces what the worker refuses, and logs each source and reason that is new.

@@ -4,7 +4,7 @@ use std::cmp::Ordering;
 
 use joulebus_wire::{Level, budget_flag, forecast_flag};
 
-use crate::board::Newest;
+use crate::board::{Board, Newest};
 
 /// Sort order of robots.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -95,5 +95,17 @@ impl Sort {
         let by_id = a.robot.cmp(&b.robot);
         let by_id = if self == Self::Robot { turned(by_id) } else { by_id };
         by_rank.then(by_value).then(by_id)
+    }
+}
+
+impl Board {
+    /// Ids of all robots, the most urgent first.
+    #[must_use]
+    pub fn by_urgency(&self) -> Vec<u32> {
+        let sort = Sort::Urgency;
+        let mut keys: Vec<SortKey> =
+            self.rows.iter().map(|(robot, row)| sort.key(*robot, &row.newest())).collect();
+        keys.sort_unstable_by(|a, b| sort.compare(false, a, b));
+        keys.iter().map(SortKey::robot).collect()
     }
 }
