@@ -173,6 +173,7 @@ fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
     let best = alike(key.name(), name)
         .max(0.95 * alike(&sorted(key.name()), &sorted(name)))
         .max(0.95 * alike(split_unit(key.name()).0, split_unit(name).0))
+        .max(0.94 * alike(&sorted(split_unit(key.name()).0), &sorted(split_unit(name).0)))
         .max(0.9 * whole);
     // The section, then the whole path, decide between similar names.
     let same_section = if section == key_section { 0.05 } else { 0.0 };
