@@ -38,7 +38,7 @@ impl Refused {
 const MAX_KEPT: usize = 32;
 
 /// Refused samples of one run of a source for one reason, or of one robot.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy)]
 pub struct RefusedSamples {
     /// [`SampleHeader::source_id`] of the newest one.
     pub source_id: u64,
@@ -166,6 +166,11 @@ mod tests {
         assert_eq!(robots, (68..100).collect::<Vec<u32>>());
         let mut copy = RefusalLog::default();
         copy.follow(&log);
-        assert_eq!((copy.sources(), copy.robots()), (log.sources(), log.robots()));
+        // Not the samples, whose unknown values are NaN.
+        let keys = |list: &[RefusedSamples]| -> Vec<(u32, u64, u64)> {
+            list.iter().map(|one| (one.sample.robot, one.count, one.at_ns)).collect()
+        };
+        assert_eq!(keys(copy.sources()), keys(log.sources()));
+        assert_eq!(keys(copy.robots()), keys(log.robots()));
     }
 }
