@@ -4,13 +4,13 @@ mod project;
 
 use std::fmt;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_files::Several;
+use joulebus_files::WholeFolder;
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::file::write;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
@@ -101,16 +101,14 @@ impl fmt::Display for Written {
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let sources = sources(args.sources.as_deref())?;
     let project = Project::new(args.kind, args.lang, &args.folder, sources.as_deref())?;
-    let mut several = Several::default();
-    make_empty(&args.folder, &mut several)?;
-    for (name, text) in &project.files {
-        let path = args.folder.join(name);
-        let parent = path.parent().unwrap_or(&args.folder);
-        several.folder(parent).with_context(|| format!("cannot make {}", parent.display()))?;
-        write(&path, text.as_bytes())?;
-        several.file(&path);
-    }
-    several.keep();
+    check_empty(&args.folder)?;
+    let written = WholeFolder::begin(&args.folder).and_then(|mut whole| {
+        for (name, text) in &project.files {
+            whole.write(name, |mut file| file.write_all(text.as_bytes()))?;
+        }
+        whole.keep()
+    });
+    written.with_context(|| format!("cannot write {}", args.folder.display()))?;
     let files = project.files.iter().map(|(name, _)| PathBuf::from(name)).collect();
     output.report(&Written {
         folder: args.folder.clone(),
@@ -122,14 +120,12 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// The folder is there and empty afterwards, or it is refused.
-fn make_empty(folder: &Path, several: &mut Several) -> anyhow::Result<()> {
+/// The folder is empty or missing, or it is refused.
+fn check_empty(folder: &Path) -> anyhow::Result<()> {
     let shown = folder.display();
     let refused = |why: &str| UsageError(format!("{shown} {why}: name a new or an empty folder"));
     match fs::metadata(folder) {
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-            several.folder(folder).with_context(|| format!("cannot make {shown}"))
-        }
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(error) => Err(error).with_context(|| format!("cannot read {shown}")),
         Ok(found) if !found.is_dir() => Err(refused("is not a folder").into()),
         Ok(_) => {

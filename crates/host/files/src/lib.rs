@@ -6,6 +6,7 @@ mod ending;
 pub mod foreign;
 mod several;
 mod whole;
+mod whole_folder;
 
 use std::fs::{File, Metadata, OpenOptions};
 use std::io::{self, Read as _};
@@ -17,6 +18,7 @@ use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 pub use ending::{ends_in, without_ending};
 pub use several::Several;
 pub use whole::{check_kind, create, replace};
+pub use whole_folder::WholeFolder;
 
 /// Reason that a file is refused, as the cause of an [`io::Error`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -54,10 +54,7 @@ pub fn replace<T, E: From<io::Error>>(
     }
     let draft = Draft::begin(path)?;
     let written = write(&draft.file)?;
-    let mut beginning = [0; MAX_KIND_BYTES];
-    let length = draft.file.read_at(&mut beginning, 0)?;
-    check_kind(path, &beginning[..length])?;
-    draft.rename(path)?;
+    draft.replace(path)?;
     Ok(written)
 }
 
@@ -98,7 +95,7 @@ fn taken() -> io::Error {
 /// It has no name, so the system removes it however the program ends. If the file system cannot do
 /// that, it has a hidden name beside its target, which is removed when the draft is dropped.
 #[derive(Debug)]
-struct Draft {
+pub(crate) struct Draft {
     file: File,
     hidden: Option<PathBuf>,
 }
@@ -114,7 +111,7 @@ impl Drop for Draft {
 
 impl Draft {
     /// Begins the file for `path`.
-    fn begin(path: &Path) -> io::Result<Self> {
+    pub(crate) fn begin(path: &Path) -> io::Result<Self> {
         let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
         let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
         match open(folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(MODE)) {
@@ -131,8 +128,20 @@ impl Draft {
         Ok(Self { file, hidden: Some(hidden) })
     }
 
+    pub(crate) const fn file(&self) -> &File {
+        &self.file
+    }
+
+    /// Gives the file its name, and replaces one of an earlier run, which begins like it.
+    pub(crate) fn replace(self, path: &Path) -> io::Result<()> {
+        let mut beginning = [0; MAX_KIND_BYTES];
+        let length = self.file.read_at(&mut beginning, 0)?;
+        check_kind(path, &beginning[..length])?;
+        self.rename(path)
+    }
+
     /// Gives the file its name, which must be free.
-    fn link(mut self, path: &Path) -> io::Result<()> {
+    pub(crate) fn link(mut self, path: &Path) -> io::Result<()> {
         let Some(hidden) = &self.hidden else {
             return self.name(path);
         };
@@ -172,7 +181,7 @@ impl Draft {
 }
 
 /// Creates a file under a free hidden name beside `path`.
-fn beside<T>(
+pub(crate) fn beside<T>(
     path: &Path,
     mut make: impl FnMut(&Path) -> io::Result<T>,
 ) -> io::Result<(T, PathBuf)> {
