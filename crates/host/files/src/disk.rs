@@ -152,4 +152,21 @@ mod tests {
         std::fs::write(at("file"), "").unwrap();
         assert!(create_dir_all(at("file/h")).is_err());
     }
+
+    #[test]
+    fn files_that_tell_where_robots_were_are_their_owners_alone() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        let public = File::create(path("copied")).unwrap();
+        make_private(&public).unwrap();
+        for file in [
+            create_to_append(&path("capture")).unwrap(),
+            create(&path("state")).unwrap(),
+            create_new(&path("ledger")).unwrap(),
+            public,
+        ] {
+            assert_eq!(file.metadata().unwrap().permissions().mode() & 0o777, 0o600);
+        }
+        assert!(create_new(&path("ledger")).is_err());
+    }
 }
