@@ -42,7 +42,8 @@ impl ResidualStats {
         let range = -MAX_RESIDUAL_W..=MAX_RESIDUAL_W;
         let ends = [self.q05_w, self.q95_w];
         if !(ends.iter().all(|end| range.contains(end)) && self.q05_w <= self.q95_w) {
-            let (found, allowed) = (format!("{} to {}", ends[0], ends[1]), "ascending, -1e6 to 1e6");
+            let (found, allowed) =
+                (format!("{} to {}", ends[0], ends[1]), "ascending, -1e6 to 1e6");
             return Err(ModelError::field("residual_q05_w to residual_q95_w", &found, allowed));
         }
         Ok(())

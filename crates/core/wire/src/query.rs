@@ -437,8 +437,7 @@ rows! {
 
 /// Words of a [`QueryRecord`].
 const RECORD_HEAD_WORDS: usize = size_of::<QueryRecord>() / 8;
-const _: () =
-    assert!(RECORD_HEAD_WORDS + MAX_QUERY_VALUES + MAX_ANSWER_WORDS <= MAX_RECORD_WORDS);
+const _: () = assert!(RECORD_HEAD_WORDS + MAX_QUERY_VALUES + MAX_ANSWER_WORDS <= MAX_RECORD_WORDS);
 
 /// Appends a record to the payload of a frame. Its lengths are set. Returns whether it fits.
 pub fn push_record(

@@ -29,7 +29,8 @@ impl WholeFolder {
     }
 
     fn draft(&self) -> io::Result<Draft> {
-        let there = self.folder.ancestors().find(|at| at.as_os_str().is_empty() || disk::exists(at));
+        let there =
+            self.folder.ancestors().find(|at| at.as_os_str().is_empty() || disk::exists(at));
         Draft::begin(&there.unwrap_or(Path::new("")).join("draft"))
     }
 

@@ -222,7 +222,8 @@ impl Rates {
             self.left.retain(|_, (left, since)| refilled(*left, *since) < BURST);
         }
         if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
-            let left = self.left.iter().map(|(peer, (left, since))| (refilled(*left, *since), *peer));
+            let left =
+                self.left.iter().map(|(peer, (left, since))| (refilled(*left, *since), *peer));
             if let Some((_, peer)) = left.max_by(|a, b| a.0.total_cmp(&b.0)) {
                 self.left.remove(&peer);
             }

@@ -362,13 +362,7 @@ async fn stream(
     let now = Instant::now();
     let mut ticks = interval_at(now, Duration::from_secs_f64(1.0 / hz));
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let flow = Flow {
-        client: Client::new(view, robot),
-        app,
-        ticks,
-        shown: None,
-        sent: now,
-    };
+    let flow = Flow { client: Client::new(view, robot), app, ticks, shown: None, sent: now };
     let messages = stream::unfold(flow, |mut flow| async move {
         let message = flow.message().await?;
         Some((Ok::<Bytes, std::convert::Infallible>(message), flow))
@@ -411,10 +405,11 @@ async fn what_if(
     let turn = app.shares.questions.enter(peer).await?;
     let turn = app.questions.load(turn, &app.config).await?;
     let robots = question.plan.robots().to_vec();
-    let rows = app.ask(peer, |reply| Ask::Rows(robots, reply)).await?.map_err(|error| match error {
-        RowsError::UnknownRobot(_) => ApiError::new(StatusCode::NOT_FOUND, error.to_string()),
-        error => ApiError::busy(error.to_string()),
-    })?;
+    let rows =
+        app.ask(peer, |reply| Ask::Rows(robots, reply)).await?.map_err(|error| match error {
+            RowsError::UnknownRobot(_) => ApiError::new(StatusCode::NOT_FOUND, error.to_string()),
+            error => ApiError::busy(error.to_string()),
+        })?;
     let simplified = match &question.plan {
         joulebus_plan::Plan::Follow { path, .. } => path.simplified(),
         _ => None,

@@ -360,7 +360,8 @@ async fn respond(
         }
     };
     let bytes = response.body().size_hint().exact().unwrap_or(0) as usize;
-    let share = (bytes > MAX_SMALL_BYTES).then(|| shared.app.shares.unsent.take(peer, bytes)).transpose();
+    let share =
+        (bytes > MAX_SMALL_BYTES).then(|| shared.app.shares.unsent.take(peer, bytes)).transpose();
     let share = share.unwrap_or_else(|refused| {
         response = refused.into_response();
         None

@@ -208,7 +208,8 @@ fn a_path_is_relative_to_the_file_that_names_it() {
     let fleet = fs::read_to_string(at("own-fleet.toml")).unwrap();
     let platform = fs::read_to_string(at("kinds/own.toml")).unwrap();
     let platform = platform.replace("../weights", "/weights");
-    let held = [("kinds/own.toml", platform.as_bytes()), ("/weights/own.safetensors", &b"held"[..])];
+    let held =
+        [("kinds/own.toml", platform.as_bytes()), ("/weights/own.safetensors", &b"held"[..])];
     let held = Config::parse_attached(&fleet, &held).unwrap();
     assert_eq!(held.settings(), config.settings());
     let ModelSource::Attached(_, bytes) = &held.models()[0] else {
