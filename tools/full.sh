@@ -42,6 +42,7 @@ step walk-morning - 'tools/walks/morning.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
 step c - tools/c_api.sh
 step wheel - 'tools/python_package.sh'
+step python-bounds python3.10 'tools/python_bounds.sh'
 step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude joulebus-examples --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
 # What a release consists of, each artefact installed and tried, then users who start with an empty
 # home and that.
