@@ -1,8 +1,6 @@
 //! Cards of findings: the source of the help of `joulebus data check` and of
 //! docs/reference/plausibility.md.
 
-use std::sync::LazyLock;
-
 use crate::finding::{Kind, Severity};
 
 /// What findings of a kind mean, and what to do about them.
@@ -70,36 +68,40 @@ mismatch | power differs from voltage times current | whether all three are of o
 sources | readings of two sources come in turn | which programs publish on the topic, or which column tells their rows apart
   error | readings alternate between two levels, as those of two sources";
 
-static ALL: LazyLock<Vec<Card>> = LazyLock::new(|| {
-    let mut cards: Vec<Card> = Vec::new();
-    for line in CARDS.lines() {
-        let mut cells = line.split(" | ");
-        let mut next = || cells.next().unwrap_or_default();
-        match (next(), cards.last_mut()) {
-            ("  error", Some(card)) => card.cases.push((Severity::Error, next())),
-            ("  warning", Some(card)) => card.cases.push((Severity::Warning, next())),
-            (name, _) => {
-                cards.push(Card { name, means: next(), check: next(), cases: Vec::new() });
-            }
-        }
-    }
-    cards
-});
-
 impl Card {
     /// All cards, in the order of [`Kind`].
     #[must_use]
-    pub fn all() -> &'static [Self] {
-        &ALL
+    pub fn all() -> Vec<Self> {
+        let mut cards: Vec<Self> = Vec::new();
+        for line in CARDS.lines() {
+            let mut cells = line.split(" | ");
+            let mut next = || cells.next().unwrap_or_default();
+            match (next(), cards.last_mut()) {
+                ("  error", Some(card)) => card.cases.push((Severity::Error, next())),
+                ("  warning", Some(card)) => card.cases.push((Severity::Warning, next())),
+                (name, _) => {
+                    cards.push(Self { name, means: next(), check: next(), cases: Vec::new() });
+                }
+            }
+        }
+        cards
     }
 }
 
 impl Kind {
+    /// The name.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        let mut cards = CARDS.lines().filter(|line| !line.starts_with(' '));
+        let card = cards.nth(self as usize).unwrap_or_default();
+        card.split(" | ").next().unwrap_or_default()
+    }
+
     /// What findings of this kind mean.
     #[must_use]
-    pub fn card(self) -> &'static Card {
-        // A test of the kinds' names reads the table.
-        &ALL[self as usize]
+    pub fn card(self) -> Card {
+        // A test finds one for each kind.
+        Card::all().swap_remove(self as usize)
     }
 }
 

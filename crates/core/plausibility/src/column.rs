@@ -8,12 +8,10 @@ pub(crate) const LARGEST: usize = 24;
 const BACK: f64 = 0.25;
 
 /// The numbers of greatest size, with their signs, in descending size.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Largest([f64; LARGEST]);
 
 impl Largest {
-    const NONE: Self = Self([0.0; LARGEST]);
-
     fn add(&mut self, number: f64) {
         let kept = &mut self.0;
         let size = number.abs();
@@ -31,7 +29,7 @@ impl Largest {
 }
 
 /// Values of one quantity of one robot.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(crate) struct Column {
     pub(crate) count: u64,
     pub(crate) zero: u64,
@@ -119,8 +117,6 @@ pub(crate) struct End {
 }
 
 impl End {
-    const NONE: Self = Self { count: 0, runs: 0, run: 0, longest: 0 };
-
     fn take(&mut self, is_at_end: bool) {
         self.run = if is_at_end { self.run + 1 } else { 0 };
         self.runs += u64::from(self.run == 1);
@@ -133,31 +129,15 @@ impl Column {
     /// Digits of a continuum: more than any file has.
     pub(crate) const CONTINUUM: u8 = 9;
 
-    pub(crate) const fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self {
-            count: 0,
-            zero: 0,
-            negative: 0,
-            outside: 0,
             least: f64::INFINITY,
             greatest: f64::NEG_INFINITY,
             above_least: f64::INFINITY,
             below_greatest: f64::NEG_INFINITY,
-            repeats: 0,
-            jumps: 0,
-            decimals: 0,
             first: f64::NAN,
             last: f64::NAN,
-            varies: false,
-            sizes: Sizes::new(),
-            steps: Sizes::new(),
-            at_greatest: End::NONE,
-            at_least: End::NONE,
-            largest_steps: Largest::NONE,
-            largest_dips: Largest::NONE,
-            step: 0.0,
-            moves: Moves { rises: 0, falls: 0, resets: 0, all: 0.0, back: 0.0, returns: 0 },
-            spikes: Spikes { count: 0, readings: 0, least: 0.0, greatest: 0.0, from_zero: 0 },
+            ..Self::default()
         }
     }
 

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-use crate::edit::{Edit, UNNAMED};
+use crate::edit::{Edit, Source, UNNAMED};
 use crate::quantity::{Quantity, UNMEASURED_A, number};
 
 /// Kind of a finding. Its name is what `--accept` takes, and its [`Card`](crate::Card) says what it
@@ -43,12 +43,6 @@ impl Kind {
         Self::Mismatch,
         Self::Sources,
     ];
-
-    /// The name.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        self.card().name
-    }
 }
 
 impl fmt::Display for Kind {
@@ -87,25 +81,6 @@ impl Severity {
             Self::Warning => "warning",
         }
     }
-}
-
-/// Origin of readings: each has its own remedies.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
-    /// A table, an archive or a capture, read by a verb of joulebus.
-    Recording,
-    /// A recording whose current is turned already.
-    TurnedRecording,
-    /// An array, whose columns and units are fixed.
-    Array,
-    /// A bag, read by `joulebus import`.
-    Bag,
-    /// A bag whose current is turned already.
-    TurnedBag,
-    /// A bridge's file.
-    Bridge,
-    /// A program that publishes by itself.
-    Program,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]

@@ -153,7 +153,7 @@ impl Judge {
         Self {
             known,
             times: Times::new(),
-            columns: [const { Column::new() }; 6],
+            columns: std::array::from_fn(|_| Column::new()),
             ratios: Sizes::new(),
             implied: Sizes::new(),
             driving: Sizes::new(),

@@ -14,6 +14,12 @@ pub(crate) struct Sizes {
     count: u64,
 }
 
+impl Default for Sizes {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Sizes {
     pub(crate) const fn new() -> Self {
         Self { counts: [0; BUCKETS], sums: [0.0; BUCKETS], count: 0 }

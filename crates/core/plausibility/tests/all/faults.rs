@@ -3,7 +3,7 @@
 
 use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Source};
 
-use super::robot::{Numbers, Recording, judged};
+use super::robot::{Numbers, Recording, current_above, judged};
 
 /// Robots of three sizes, at three rates.
 fn robots() -> impl Iterator<Item = Recording> {
@@ -49,9 +49,7 @@ fn registers_that_wrap_are_found_however_often() {
         for share in [0.98, 0.7, 0.3] {
             for (bits, signed) in [(16, true), (16, false), (15, false), (12, false)] {
                 let mut rows = rounded(one.rows());
-                let mut sorted: Vec<f64> = rows.iter().map(|seen| seen.current_a).collect();
-                sorted.sort_unstable_by(f64::total_cmp);
-                let end_a = sorted[(sorted.len() as f64 * share) as usize];
+                let end_a = current_above(&rows, share);
                 let counts = f64::from(bits).exp2();
                 let above = if signed { 0.5 * counts } else { counts };
                 let step_a = step_of(end_a, above);
@@ -91,9 +89,7 @@ fn readings_that_stay_at_the_greatest_are_found() {
     for one in robots() {
         for share in [0.7, 0.85] {
             let mut rows = rounded(one.rows());
-            let mut sorted: Vec<f64> = rows.iter().map(|seen| seen.current_a).collect();
-            sorted.sort_unstable_by(f64::total_cmp);
-            let end_a = sorted[(sorted.len() as f64 * share) as usize] * 1.003;
+            let end_a = current_above(&rows, share) * 1.003;
             rows.iter_mut().for_each(|seen| seen.current_a = seen.current_a.min(end_a));
             rows.iter_mut().for_each(|seen| seen.power_w = seen.voltage_v * seen.current_a);
             let in_a_row =
@@ -465,18 +461,22 @@ fn faults_of_each_quantity_are_found() {
             if what.starts_with("a register") && one.idle_w > 20.0 {
                 continue;
             }
-            let mut rows = one.rows();
-            let mut sum = 0.0;
-            for (at, seen) in rows.iter_mut().enumerate() {
-                plant(at, seen, &mut sum);
-            }
-            let found = judged(Known::default().whole(), &rows);
+            let found = planted(&one, plant);
             let found_one =
                 found.iter().find(|one| one.kind == kind && one.quantity == Some(quantity));
             let is_as_bad = found_one.is_some_and(|one| one.is_error() == is_error);
             assert!(is_as_bad, "{what}: {one:?}: {found:?}");
         }
     }
+}
+
+/// The findings of a recording with a change of each row.
+fn planted(one: &Recording, plant: Plant) -> Vec<Finding> {
+    let (mut rows, mut sum) = (one.rows(), 0.0);
+    for (at, seen) in rows.iter_mut().enumerate() {
+        plant(at, seen, &mut sum);
+    }
+    judged(Known::default().whole(), &rows)
 }
 
 /// What brakes, switches or is coarse has none of these faults.
@@ -508,12 +508,7 @@ fn loads_that_switch_and_robots_that_feed_back_are_no_faults_of_these_kinds() {
     ];
     for one in robots().filter(|one| one.rate_hz == 10.0) {
         for (what, plant) in cases {
-            let mut rows = one.rows();
-            let mut sum = 0.0;
-            for (at, seen) in rows.iter_mut().enumerate() {
-                plant(at, seen, &mut sum);
-            }
-            let found = judged(Known::default().whole(), &rows);
+            let found = planted(&one, plant);
             let is_one = |one: &&Finding| one.kind != Kind::Unit;
             assert_eq!(found.iter().find(is_one), None, "{what}: {one:?}");
         }

@@ -3,7 +3,7 @@
 
 use joulebus_plausibility::{Finding, Kind, Known, Observation, Quantity, Severity};
 
-use super::robot::{Numbers, Recording, judged};
+use super::robot::{Numbers, Recording, current_above, judged};
 
 /// The grid: 3 robots × 4 rates × 3 lengths × 3 gaps × 4 idle shares.
 fn grid() -> impl Iterator<Item = Recording> {
@@ -244,10 +244,7 @@ fn full_registers_and_wraps_are_found() {
     for one in grid() {
         // A monitor whose range ends within what the robot draws.
         let mut rows = one.rows();
-        let powers: Vec<f64> = rows.iter().map(|seen| seen.current_a).collect();
-        let mut sorted = powers.clone();
-        sorted.sort_unstable_by(f64::total_cmp);
-        let end_a = sorted[sorted.len() * 7 / 10];
+        let end_a = current_above(&rows, 0.7);
         let steps = [1.0, 1.25, 2.0, 2.5, 4.0, 5.0, 8.0, 10.0];
         let step_a = end_a / 32_767.0;
         let decade = 10f64.powf(step_a.log10().floor());

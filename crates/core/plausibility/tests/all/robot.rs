@@ -113,3 +113,10 @@ pub(crate) fn judged(known: Known, rows: &[Observation]) -> Vec<Finding> {
     rows.iter().for_each(|seen| judge.take(seen));
     judge.findings()
 }
+
+/// The current above which the other readings are: of so many, as a share.
+pub(crate) fn current_above(rows: &[Observation], share: f64) -> f64 {
+    let mut sorted: Vec<f64> = rows.iter().map(|seen| seen.current_a).collect();
+    sorted.sort_unstable_by(f64::total_cmp);
+    sorted[(sorted.len() as f64 * share) as usize]
+}

@@ -3,7 +3,6 @@
 
 use std::fmt;
 use std::str::FromStr;
-use std::sync::LazyLock;
 
 use super::limits::{InMemory, MAX_ROWS};
 use super::table::{CHARGING_NAME, Column, ROBOT_NAMES, TIME_NAMES, Table};
@@ -21,17 +20,18 @@ pub enum Quantity {
     Missing,
 }
 
+#[derive(Clone, Copy)]
 struct Spelling {
     quantity: Quantity,
     /// Its name in [`ColumnMap`] and in messages.
     name: &'static str,
     /// The names of the published layout, which take precedence.
-    layout: Vec<&'static str>,
+    layout: &'static str,
     /// Other names, in lower case, without the unit.
-    others: Vec<&'static str>,
-    /// Units in lower case, with the factor to the layout's unit, and as they are shown. The first
-    /// one applies to a mapped column without a unit in its name, "" to a name without a unit.
-    units: Vec<(String, f64, &'static str)>,
+    others: &'static str,
+    /// Units with the factor to the layout's unit. The first one applies to a mapped column without
+    /// a unit in its name, "" to a name without a unit.
+    units: &'static str,
 }
 
 const fn of(column: Column) -> Quantity {
@@ -61,66 +61,71 @@ y|y_m y|pos_y position_y|m=1 =1
 theta|theta_rad theta|heading yaw|rad=1 =1
 phase|phase||=1";
 
-static SPELLINGS: LazyLock<Vec<Spelling>> = LazyLock::new(|| {
-    let spelling = |line: &'static str| {
+fn spellings() -> impl Iterator<Item = Spelling> {
+    NAMES.lines().map(|line| {
         let mut parts = line.split('|').map(str::trim);
         let mut next = || parts.next().unwrap_or_default();
         let (name, layout, others, units) = (next(), next(), next(), next());
-        let layout: Vec<&str> = layout.split(' ').collect();
-        let column = Column::ALL.into_iter().find(|column| column.name() == layout[0]);
-        let unit = |text: &'static str| {
-            let (unit, factor) = text.split_once('=').unwrap_or_default();
-            // A test reads the table.
-            (unit.to_lowercase(), factor.parse().unwrap_or(f64::NAN), unit)
+        let is_of = |column: &Column| Some(column.name()) == layout.split(' ').next();
+        let quantity = match Column::ALL.into_iter().find(is_of) {
+            Some(column) => of(column),
+            None if name == "robot" => Quantity::Robot,
+            None => Quantity::Time,
         };
-        Spelling {
-            quantity: match column {
-                Some(column) => of(column),
-                None if name == "robot" => Quantity::Robot,
-                None => Quantity::Time,
-            },
-            name,
-            layout,
-            others: others.split(' ').filter(|other| !other.is_empty()).collect(),
-            units: units.split(' ').map(unit).collect(),
-        }
-    };
-    NAMES.lines().map(spelling).collect()
-});
+        Spelling { quantity, name, layout, others, units }
+    })
+}
 
-fn spelling(quantity: Quantity) -> &'static Spelling {
-    let found = SPELLINGS.iter().find(|spelling| spelling.quantity == quantity);
+fn spelling(quantity: Quantity) -> Spelling {
+    let found = spellings().find(|spelling| spelling.quantity == quantity);
     // A test checks that every quantity is in the table.
-    found.unwrap_or(&SPELLINGS[0])
+    found.unwrap_or(Spelling { quantity, name: "", layout: "", others: "", units: "" })
 }
 
 impl Spelling {
+    fn has_layout(self, name: &str) -> bool {
+        self.layout.split(' ').any(|own| own == name)
+    }
+
+    fn has_other(self, name: &str) -> bool {
+        !name.is_empty() && self.others.split(' ').any(|other| other == name)
+    }
+
+    /// Units in lower case, their factors, and the units as they are shown.
+    fn units(self) -> impl Iterator<Item = (String, f64, &'static str)> {
+        self.units.split(' ').map(|text| {
+            let (unit, factor) = text.split_once('=').unwrap_or_default();
+            // A test reads the table.
+            (unit.to_lowercase(), factor.parse().unwrap_or(f64::NAN), unit)
+        })
+    }
+
     /// The factor of a name other than the layout's, and whether the name has the unit.
-    fn factor(&self, name: &str) -> Option<(f64, bool)> {
+    fn factor(self, name: &str) -> Option<(f64, bool)> {
         // V and W alone are units more often than velocities.
         if name.chars().count() == 1 && name.chars().any(char::is_uppercase) {
             return None;
         }
         let name = plain(name);
-        self.units.iter().find_map(|(unit, factor, _)| {
+        self.units().find_map(|(unit, factor, _)| {
             let bare = match unit.is_empty() {
                 true => name.as_str(),
                 false => name.strip_suffix(unit.as_str())?.strip_suffix('_')?,
             };
-            let found = self.others.contains(&bare);
-            found.then_some((*factor, !unit.is_empty()))
+            self.has_other(bare).then_some((factor, !unit.is_empty()))
         })
     }
 
     /// The factor of a mapped column, by the unit at the end of its name, and whether that has one.
-    fn mapped_factor(&self, name: &str) -> (f64, bool) {
+    fn mapped_factor(self, name: &str) -> (f64, bool) {
         let name = plain(name);
-        let by_unit = self.units.iter().find(|(unit, ..)| {
+        let by_unit = self.units().find(|(unit, ..)| {
             let rest = name.strip_suffix(unit.as_str());
             !unit.is_empty() && rest.is_some_and(|rest| rest.ends_with('_'))
         });
-        let factor = by_unit.or(self.units.first());
-        (factor.map_or(1.0, |(_, factor, _)| *factor), by_unit.is_some())
+        let is_stated = by_unit.is_some();
+        let factor = by_unit.or(self.units().next());
+        (factor.map_or(1.0, |(_, factor, _)| factor), is_stated)
     }
 }
 
@@ -230,14 +235,14 @@ impl FromStr for MappedColumn {
                 false => Err(form()),
             };
         }
-        for spelling in SPELLINGS.iter() {
+        for spelling in spellings() {
             let (factor, states_unit) = if wanted == spelling.name {
                 spelling.mapped_factor(name)
             } else {
                 let unit =
                     wanted.strip_prefix(spelling.name).and_then(|rest| rest.strip_prefix('_'));
-                match spelling.units.iter().find(|(name, ..)| Some(name.as_str()) == unit) {
-                    Some((_, factor, _)) => (*factor, true),
+                match spelling.units().find(|(name, ..)| Some(name.as_str()) == unit) {
+                    Some((_, factor, _)) => (factor, true),
                     None => continue,
                 }
             };
@@ -258,7 +263,7 @@ impl FromStr for MappedColumn {
                 states_unit,
             });
         }
-        let allowed: Vec<&str> = SPELLINGS.iter().map(|one| one.name).collect();
+        let allowed: Vec<&str> = spellings().map(|one| one.name).collect();
         Err(MapError(format!(
             "{quantity:?} is no quantity, allowed: {}, missing, each with a unit if it is not in the \
              column's name. An energy (Wh) or a charge (Ah) is not read: give power, or voltage and \
@@ -483,8 +488,8 @@ impl ColumnMap {
                 .collect()
         };
         let layout = among(&|name| {
-            let is_layout = spelling.layout.contains(&name);
-            is_layout.then_some((1.0, spelling.layout.first() == Some(&name)))
+            let is_first = spelling.layout.split(' ').next() == Some(name);
+            spelling.has_layout(name).then_some((1.0, is_first))
         });
         if !layout.is_empty() {
             return layout;
@@ -557,13 +562,13 @@ fn is_converted(names: &[String]) -> bool {
 /// The factor to the layout's unit of a unit behind a number.
 pub(super) fn unit_factor(column: Column, unit: &str) -> Option<f64> {
     let unit = if unit == "%" { "percent" } else { &unit.to_lowercase() };
-    let mut units = spelling(of(column)).units.iter().filter(|(name, ..)| !name.is_empty());
-    units.find(|(name, ..)| name == unit).map(|(_, factor, _)| *factor)
+    let mut units = spelling(of(column)).units().filter(|(name, ..)| !name.is_empty());
+    units.find(|(name, ..)| name == unit).map(|(_, factor, _)| factor)
 }
 
 /// True for a usual name of a column that states no unit.
 pub(super) fn is_bare(column: Column, name: &str) -> bool {
-    spelling(of(column)).others.contains(&&*plain(name))
+    spelling(of(column)).has_other(&plain(name))
 }
 
 /// The option for a column that looks like a command, if its quantity is not read already: words of
@@ -587,9 +592,9 @@ pub(crate) fn command_option(name: &str, reads_v: bool, reads_omega: bool) -> Op
 /// Accepted names of a quantity, for messages.
 pub(super) fn accepted(quantity: Quantity) -> String {
     let spelling = spelling(quantity);
-    let unit = spelling.units.first().map_or("", |(.., shown)| shown);
-    let mut names: Vec<String> = spelling.layout.iter().map(|name| (*name).to_owned()).collect();
-    if let (Some(other), false) = (spelling.others.first(), unit.is_empty()) {
+    let unit = spelling.units().next().map_or("", |(.., shown)| shown);
+    let mut names: Vec<String> = spelling.layout.split(' ').map(str::to_owned).collect();
+    if let (Some(other), false) = (spelling.others.split(' ').next(), unit.is_empty()) {
         names.push(format!("{other}_{unit}"));
     }
     format!("{} ({}, …)", spelling.name, names.join(", "))
@@ -598,12 +603,13 @@ pub(super) fn accepted(quantity: Quantity) -> String {
 /// The table of accepted names, one line for each quantity.
 pub fn column_names() -> String {
     let mut table = String::new();
-    for Spelling { name, layout, others, units, .. } in SPELLINGS.iter() {
-        let listed: Vec<&str> =
-            units.iter().map(|(.., shown)| *shown).filter(|unit| !unit.is_empty()).collect();
-        let mut line = format!("  {name:10} {}", layout.join(" "));
+    for spelling in spellings() {
+        let Spelling { name, layout, others, .. } = spelling;
+        let units: Vec<&str> = spelling.units().map(|(.., shown)| shown).collect();
+        let listed: Vec<&str> = units.iter().copied().filter(|unit| !unit.is_empty()).collect();
+        let mut line = format!("  {name:10} {layout}");
         if !others.is_empty() {
-            line.push_str(&format!("; {}", others.join(" ")));
+            line.push_str(&format!("; {others}"));
         }
         if !listed.is_empty() {
             let bare = units.len() > listed.len();
@@ -633,9 +639,9 @@ mod tests {
     fn every_column_has_its_spellings_and_the_layout_its_names() {
         for column in Column::ALL {
             let spelling = spelling(of(column));
-            assert!(spelling.units.iter().all(|(_, factor, _)| *factor > 0.0));
+            assert!(spelling.units().all(|(_, factor, _)| factor > 0.0));
             assert_eq!(spelling.quantity, of(column));
-            assert_eq!(spelling.layout[0], column.name());
+            assert!(spelling.has_layout(column.name()));
         }
     }
 

@@ -414,7 +414,7 @@ fn the_page_of_findings_has_the_cards() {
     let mut cases = "| kind | level | what was found |\n|---|---|---|\n".to_owned();
     for card in Card::all() {
         kinds += &format!("| `{}` | {} | {} |\n", card.name, card.means, card.check);
-        for (severity, what) in &card.cases {
+        for (severity, what) in card.cases {
             cases += &format!("| `{}` | {} | {what} |\n", card.name, severity.name());
         }
     }
