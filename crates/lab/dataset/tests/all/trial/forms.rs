@@ -2,8 +2,8 @@
 
 use joulebus_dataset::inspect::{Limits, judge};
 use joulebus_dataset::trial::{ColumnMap, MappedColumn, Trial};
-use joulebus_testkit::trials::Files;
 use joulebus_testkit::cases;
+use joulebus_testkit::trials::Files;
 
 /// Origin, kind, header, row, `--map`, and outcome of a file. The outcome is `read`, kinds of
 /// findings, or words of a refusal.
