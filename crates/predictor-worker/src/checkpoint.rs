@@ -241,7 +241,7 @@ impl Checkpoint {
 
     /// Remembers a capacity that has changed since the lessons `before`.
     fn remember_capacity(&mut self, budget: &Budget, before: Option<SavedLessons>) {
-        let Some((capacity_j, capacity_sd_j)) = budget.capacity_j() else {
+        let Some((capacity_j, capacity_sd_j)) = budget.learned_capacity_j() else {
             return;
         };
         // A restart rounds it.

@@ -182,7 +182,7 @@ impl AnswerReport {
         (budget, charge_to): (Option<&Budget>, Option<f64>),
     ) {
         let battery = platform(settings, self.robot).and_then(|its| its.battery.as_ref());
-        let learned = budget.and_then(Budget::capacity_j);
+        let learned = budget.and_then(Budget::learned_capacity_j);
         let stated_j = battery.map(|battery| battery.capacity_j);
         let capacity_j = learned.map(|(capacity_j, _)| capacity_j.into()).or(stated_j);
         self.charge = charge_to.map(|to| {

@@ -564,7 +564,8 @@ fn battery(platform: &Platform, frames: &Frames<'_>) -> Result<Battery, Unknown>
     // A battery with a measured charge below the counted one may be another battery.
     let is_known =
         budget.flags & (budget_flag::CHARGE | budget_flag::CONTRADICTED) == budget_flag::CHARGE;
-    let learned = budget.capacity_j().map(|(joules, sd_j)| (f64::from(joules), f64::from(sd_j)));
+    let learned =
+        budget.learned_capacity_j().map(|(joules, sd_j)| (f64::from(joules), f64::from(sd_j)));
     let (capacity_j, sd_j) = learned.unwrap_or((settings.capacity_j, 0.0));
     // The monitor that counts a plan's energy has learned the capacity, so its error is that of the
     // energy left.

@@ -127,7 +127,7 @@ impl Budget {
     }
 
     /// The learned capacity and its standard deviation, J. `None` before anything is learned.
-    pub fn capacity_j(&self) -> Option<(f32, f32)> {
+    pub fn learned_capacity_j(&self) -> Option<(f32, f32)> {
         let is_learned = self.capacity_j > 0.0 && self.capacity_sd_j > 0.0;
         is_learned.then_some((self.capacity_j, self.capacity_sd_j))
     }

@@ -814,7 +814,7 @@ pub struct SavedLessons {
 
 impl SavedLessons {
     fn new(budget: &Budget) -> Self {
-        let (capacity_j, capacity_sd_j) = budget.capacity_j().unwrap_or_default();
+        let (capacity_j, capacity_sd_j) = budget.learned_capacity_j().unwrap_or_default();
         let capacity_weight = if capacity_j > 0.0 { budget.capacity_weight } else { 0.0 };
         Self { capacity_j, capacity_sd_j, capacity_weight, charge_rate: budget.charge_rate }
     }

@@ -131,7 +131,7 @@ impl Bench {
 
     /// The learned capacity as a share of the stated one, 1 before anything is learned.
     fn learned(&self) -> f64 {
-        self.budget().capacity_j().map_or(1.0, |(joules, _)| f64::from(joules) / CAPACITY_J)
+        self.budget().learned_capacity_j().map_or(1.0, |(joules, _)| f64::from(joules) / CAPACITY_J)
     }
 
     fn is_worn(&self) -> bool {
@@ -158,7 +158,7 @@ fn a_worn_battery_is_learned_from_its_charges_counts_in_budgets_and_raises_an_al
         assert_eq!(bench.is_worn(), share < 0.8);
         // The energy left is the charge times it, with its error.
         let half = bench.drive(0.5);
-        let (capacity_j, sd_j) = half.capacity_j().expect("learned");
+        let (capacity_j, sd_j) = half.learned_capacity_j().expect("learned");
         assert!((half.left_j / (half.soc * capacity_j) - 1.0).abs() < 1e-4, "{half:?}");
         let usable_j = (0.5 - 0.05) * bench.true_j;
         let range = [half.usable_lo_j, half.usable_j].map(f64::from);
@@ -172,7 +172,7 @@ fn a_worn_battery_is_learned_from_its_charges_counts_in_budgets_and_raises_an_al
         // Another battery begins anew.
         bench.state(Statement::Exchanged);
         let other = bench.send(DRIVE_W, 0);
-        assert_eq!((other.capacity_j(), bench.is_worn()), (None, false));
+        assert_eq!((other.learned_capacity_j(), bench.is_worn()), (None, false));
     }
 }
 
@@ -197,7 +197,7 @@ fn nothing_moves_the_capacity_by_more_than_a_tenth_a_drive_and_nothing_without_e
         bench.state(Statement::Full);
         bench.state(Statement::Charge(0.2));
     }
-    assert_eq!(bench.budget().capacity_j(), None);
+    assert_eq!(bench.budget().learned_capacity_j(), None);
     let mut seed = 7u64;
     let (mut before, mut drives, mut moved) = (1.0, 0, 0);
     for _ in 0..60 {
@@ -242,7 +242,7 @@ fn a_gauge_that_mirrors_our_own_count_teaches_nothing() {
         bench.soc = 0.5;
         bench.charge();
     }
-    assert_eq!(bench.budget().capacity_j(), None);
+    assert_eq!(bench.budget().learned_capacity_j(), None);
     assert_eq!(bench.budget().capacity_weight.to_bits(), 0);
 }
 
@@ -304,7 +304,8 @@ fn what_is_learned_outlasts_a_takeover_with_its_bits_and_a_restart() {
     bench.fleet.restore(0, ledger, true, SavedBattery::new(&saved, 0));
     bench.source = Source::new(1, 2);
     let after = bench.send(DRIVE_W, 0);
-    let [of_saved, of_after] = [saved, after].map(|budget| budget.capacity_j().expect("learned"));
+    let [of_saved, of_after] =
+        [saved, after].map(|budget| budget.learned_capacity_j().expect("learned"));
     assert!((of_after.0 / of_saved.0 - 1.0).abs() < 1e-5, "{saved:?} {after:?}");
     assert!((of_after.1 / of_saved.1 - 1.0).abs() < 1e-4, "{saved:?} {after:?}");
     assert_eq!(saved.charge_rate, after.charge_rate);

@@ -335,7 +335,7 @@ impl Metrics {
             Some(&Unit::Seconds),
             to_full,
         )?;
-        let capacity = series(&|entry| Some(entry.newest.budget?.capacity_j()?.0.into()));
+        let capacity = series(&|entry| Some(entry.newest.budget?.learned_capacity_j()?.0.into()));
         gauges(
             encoder,
             "joulebus_capacity",
