@@ -1294,28 +1294,6 @@ typedef struct joulebus_sent {
 } joulebus_sent;
 
 /**
- * Samples of a source that the worker refuses, for the most frequent reason.
- */
-typedef struct joulebus_not_taken {
-    /**
-     * How many in this run. 0: none is refused at present.
-     */
-    uint64_t count;
-    /**
-     * Reason code, as in joulebus_refusal.
-     */
-    uint32_t reason;
-    /**
-     * The robot of the last one.
-     */
-    uint32_t robot;
-    /**
-     * Reason, field, value and remedy in words, cut at the end. Empty if none is refused.
-     */
-    char text[320];
-} joulebus_not_taken;
-
-/**
  * Counts of a publisher.
  */
 typedef struct joulebus_publisher_counts {
@@ -1344,6 +1322,28 @@ typedef struct joulebus_publisher_counts {
      */
     uint64_t source_epoch;
 } joulebus_publisher_counts;
+
+/**
+ * Samples of a source that the worker refuses, for the most frequent reason.
+ */
+typedef struct joulebus_not_taken {
+    /**
+     * How many in this run. 0: none is refused at present.
+     */
+    uint64_t count;
+    /**
+     * Reason code, as in joulebus_refusal.
+     */
+    uint32_t reason;
+    /**
+     * The robot of the last one.
+     */
+    uint32_t robot;
+    /**
+     * Reason, field, value and remedy in words, cut at the end. Empty if none is refused.
+     */
+    char text[320];
+} joulebus_not_taken;
 
 /**
  * A frame of forecasts, in the worker's shared memory.
