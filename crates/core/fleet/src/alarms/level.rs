@@ -24,6 +24,10 @@
 //! [are known](joulebus_energy::Memory::level), in standard deviations between robots. That needs
 //! [`AMONG`] of the limit. While an alarm is raised, the slow mean is compared: it may end it.
 //!
+//! **The limit grows with time.** A robot that runs for hours has thousands of chances to deviate.
+//! So the limit grows by up to [`LATER`] with the seconds of the own level, by half of that after
+//! [`LATER_S`].
+//!
 //! **Nothing is learned away.** While an alarm is raised the own level is frozen. While the
 //! deviation is above [`CAREFUL_FROM`] of the limit it learns at an eighth of the rate.
 //!
@@ -63,6 +67,9 @@ const SLOW: f32 = 0.5;
 const AMONG: f32 = 0.75;
 /// Seconds of the own level before it is compared with others, and before it is shown to them.
 const AMONG_S: f32 = 10.0;
+/// Growth of the limit with the seconds of the own level, and half of that time, s.
+const LATER: f32 = 0.45;
+const LATER_S: f32 = 120.0;
 /// Age from which the slow mean is judged, s.
 const SLOW_AGE_S: f32 = 6.0;
 /// Time constant of the own level, s.
@@ -358,8 +365,9 @@ impl Level {
             (self.slow_w, self.slow_command_w),
             expected.variances[1],
         );
-        let share = quick / (quick_spread.sqrt() * (QUICK * rules.limit));
-        let slow_share = slow / (slow_spread.sqrt() * (SLOW * rules.limit));
+        let limit = self.limit(rules);
+        let share = quick / (quick_spread.sqrt() * (QUICK * limit));
+        let slow_share = slow / (slow_spread.sqrt() * (SLOW * limit));
         let slow_share = if self.slow_s >= SLOW_AGE_S { slow_share } else { 0.0 };
         let (own_high, own_low) = (share.max(slow_share), (-share).max(-slow_share));
         let among = self.among(rules);
@@ -446,6 +454,12 @@ impl Level {
         Expected { slope, slope_variance, ratio, own_w, variances }
     }
 
+    /// The limit after the seconds of the own level.
+    #[inline(always)]
+    fn limit(&self, rules: &LevelRules) -> f32 {
+        rules.limit * (1.0 + LATER * self.own_s / (self.own_s + LATER_S))
+    }
+
     /// Relative deviation of a mean from what is expected, and its variance.
     #[inline(always)]
     fn deviation(
@@ -476,7 +490,7 @@ impl Level {
         let expected_w = rules.among * command_w;
         let scale_w = (0.5 * (power_w.max(0.0) + expected_w)).max(rules.floor_w);
         let spread = rules.spread + rules.variances[1] * (MEANS_S[1] / self.own_s.max(AMONG_S));
-        let share = (power_w - expected_w) / (scale_w * spread.sqrt() * (AMONG * rules.limit));
+        let share = (power_w - expected_w) / (scale_w * spread.sqrt() * (AMONG * self.limit(rules)));
         let accepted = self.raised & ACCEPTED != 0;
         let judged = (rules.among > 0.0) & (self.own_s >= AMONG_S) & !accepted;
         if judged { share } else { 0.0 }
