@@ -70,8 +70,8 @@ const MONTHS: usize = 24;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct ModelErrors {
-    model_hash: u64,
-    seen: ErrorCounts<f32>,
+    pub(crate) model_hash: u64,
+    pub(crate) seen: ErrorCounts<f32>,
 }
 
 /// The same on its way from the tick to the checkpointer, as bits. A save may catch some of one

@@ -310,23 +310,29 @@ fn is_cut_off(path: &Path) -> io::Result<bool> {
     Ok(begins && serde_json::from_slice::<IgnoredAny>(&bytes).is_err())
 }
 
-fn checksum(
-    schema: u32,
-    generation: u64,
-    ledger: &Checkpoint,
-) -> Result<String, serde_json::Error> {
-    let bytes = match schema {
-        BEFORE => serde_json::to_vec(&(generation, ledger))?,
-        _ => serde_json::to_vec(&(schema, generation, ledger))?,
+/// The ledger's text in a file: what is read may have more fields than it was written with.
+fn written(bytes: &[u8]) -> Option<&[u8]> {
+    const KEY: &[u8] = b",\"ledger\":";
+    let at = bytes.windows(KEY.len()).position(|part| part == KEY)?;
+    bytes[at + KEY.len()..].strip_suffix(b"}")
+}
+
+fn checksum(schema: u32, generation: u64, ledger: &[u8]) -> String {
+    let head = match schema {
+        BEFORE => format!("[{generation},"),
+        _ => format!("[{schema},{generation},"),
     };
-    Ok(format!("{:016x}", fnv1a(bytes)))
+    format!("{:016x}", fnv1a([head.as_bytes(), ledger, b"]"].concat()))
 }
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
     let any = |has: fn(&Account) -> bool| ledger.robots.values().any(has);
-    let schema = if any(|account| account.lessons.is_some()) || !ledger.capacities.is_empty() {
+    let schema = if any(|account| account.lessons.is_some())
+        || !ledger.capacities.is_empty()
+        || !ledger.errors.is_empty()
+    {
         NEWEST
-    } else if any(|account| account.pause.is_some()) || !ledger.errors.is_empty() {
+    } else if any(|account| account.pause.is_some()) {
         PAUSES
     } else if any(|account| account.mean_power_w.is_some()) {
         MEANS
@@ -335,20 +341,18 @@ fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::E
     } else {
         LOST
     };
-    let fnv1a = checksum(schema, generation, ledger)?;
+    let fnv1a = checksum(schema, generation, &serde_json::to_vec(ledger)?);
     serde_json::to_vec(&Content { schema, generation, fnv1a, ledger })
 }
 
 /// True if the rest of a file, by its checksum, is of a supported version. Its version field is
 /// then damaged.
 fn is_of_known_version(bytes: &[u8]) -> bool {
-    let Ok(content) = serde_json::from_slice::<Content<Checkpoint>>(bytes) else {
+    let Ok(content) = serde_json::from_slice::<Content<IgnoredAny>>(bytes) else {
         return false;
     };
-    KNOWN.into_iter().any(|schema| {
-        checksum(schema, content.generation, &content.ledger)
-            .is_ok_and(|expected| expected == content.fnv1a)
-    })
+    let is = |schema: u32, ledger| checksum(schema, content.generation, ledger) == content.fnv1a;
+    written(bytes).is_some_and(|ledger| KNOWN.into_iter().any(|schema| is(schema, ledger)))
 }
 
 impl Flaw {
@@ -380,8 +384,8 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
     }
     let content: Content<Checkpoint> =
         serde_json::from_slice(&bytes).map_err(|error| Flaw::Damaged(error.to_string()))?;
-    let expected = checksum(content.schema, content.generation, &content.ledger)
-        .map_err(|error| Flaw::Damaged(error.to_string()))?;
+    let ledger = written(&bytes).unwrap_or_default();
+    let expected = checksum(content.schema, content.generation, ledger);
     if content.fnv1a != expected {
         let found = content.fnv1a;
         return Err(Flaw::Damaged(format!(
@@ -402,7 +406,10 @@ fn read(path: &Path, fleet: &str) -> Result<Option<(u64, Checkpoint)>, Flaw> {
 mod tests {
     use std::fs;
 
+    use joulebus_fleet::ErrorCounts;
+
     use super::*;
+    use crate::checkpoint::ModelErrors;
     use crate::checkpoint::tests::checkpoint;
 
     fn drawn(drawn_uj: i64) -> Checkpoint {
@@ -581,7 +588,7 @@ mod tests {
         let before = serde_json::to_vec(&Content {
             schema,
             generation: 8,
-            fnv1a: checksum(schema, 8, &ledger).unwrap(),
+            fnv1a: checksum(schema, 8, &serde_json::to_vec(&ledger).unwrap()),
             ledger: &ledger,
         });
         fs::write(&path, before.unwrap()).unwrap();
@@ -591,6 +598,26 @@ mod tests {
         assert_eq!(kept(&path), Some(78));
         let text = fs::read_to_string(&path).unwrap();
         assert!(text.starts_with("{\"schema\":3,\"generation\":9,"), "{text}");
+    }
+
+    #[test]
+    fn a_file_whose_platforms_remember_fewer_quantities_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        let mut ledger = drawn(77);
+        ledger.errors.push(ModelErrors { model_hash: 7, seen: ErrorCounts::default() });
+        for without in [None, Some("groups")] {
+            let mut value = serde_json::to_value(&ledger).unwrap();
+            let seen = value["errors"][0]["seen"].as_object_mut().unwrap();
+            for group in seen["groups"].as_array_mut().unwrap() {
+                group.as_array_mut().unwrap().truncate(4);
+            }
+            without.map(|name| seen.remove(name));
+            let fnv1a = checksum(PAUSES, 8, &serde_json::to_vec(&value).unwrap());
+            let content = Content { schema: PAUSES, generation: 8, fnv1a, ledger: &value };
+            fs::write(&path, serde_json::to_vec(&content).unwrap()).unwrap();
+            assert_eq!(LedgerFiles::new(&path).read("lab").unwrap().as_ref(), Some(&ledger));
+        }
     }
 
     /// The ledger in a file as release df6ba14 writes it, character by character.
