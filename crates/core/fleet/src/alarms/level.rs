@@ -22,7 +22,8 @@
 //! **Among others.** A robot that has had its load from the first sample on has no level without it.
 //! So its own level is also compared with the median of its platform's robots, once eight
 //! [are known](joulebus_energy::Memory::level), in standard deviations between robots. That needs
-//! [`AMONG`] of the limit. While an alarm is raised, the slow mean is compared: it may end it.
+//! [`AMONG`] of the limit. While an alarm is raised, the slow mean is compared: it may end it. The own
+//! level, if it was apart itself, then begins anew.
 //!
 //! **The limit grows with time.** A robot that runs for hours has thousands of chances to deviate.
 //! So the limit grows by up to [`LATER`] with the seconds of the own level, by half of that after
@@ -88,8 +89,6 @@ const CORRELATED_S: f32 = 3.0;
 const LEAST: f32 = 0.02;
 /// A deviation counts as this many standard deviations at most when the scatter is learned.
 const MAX_SCATTER: f32 = 3.0;
-/// Least relative standard deviation of such a robot.
-const UNLIKE_SCATTER: f32 = 0.25;
 /// Powers are relative to this share of the platform's mean power at least. Of an untrained model,
 /// that is the largest power allowed.
 const FLOOR: f32 = 0.3;
@@ -122,6 +121,8 @@ const KIND: u32 = AlarmSet(0).with(Alarm::ModelMismatch).0;
 const ACCEPTED: u32 = 1 << 31;
 /// A robot whose level is this many times the platform's, or this part of it, is of another kind.
 const UNLIKE: f32 = PlatformMemory::UNLIKE;
+/// Least relative standard deviation of such a robot.
+const UNLIKE_SCATTER: f32 = 0.25;
 
 /// Rules for the levels of a platform's robots.
 #[derive(Debug, Clone, Copy)]
@@ -371,14 +372,23 @@ impl Level {
         let slow_share = if self.slow_s >= SLOW_AGE_S { slow_share } else { 0.0 };
         let (own_high, own_low) = (share.max(slow_share), (-share).max(-slow_share));
         let among = self.among(rules);
+        // An own level that is apart from the others is no level to go back to.
+        let own_among = self.among_of(rules, (self.own_w, self.own_command_w));
+        let by_others = self.is_raised() & (own_among.abs() > HALF);
         let (high, low) = (own_high.max(among), own_low.max(-among));
+        let (high, low) = if by_others { (among, -among) } else { (high, low) };
         let settled = counted & (self.own_s >= SETTLE_S);
         let beyond = settled & (high.max(low) > 1.0);
         let beyond_s = (self.beyond_s + rules.period_s).min(HOLD_S + rules.period_s);
         self.beyond_s = if beyond { beyond_s } else { 0.0 };
         let was_raised = self.is_raised();
         self.decide(settled, high, low);
-        let growth = if was_raised & !self.is_raised() { GROWTH } else { 1.0 };
+        let ends = was_raised & !self.is_raised();
+        let growth = if ends { GROWTH } else { 1.0 };
+        let begins_anew = ends & by_others;
+        self.own_s = if begins_anew { 0.0 } else { self.own_s };
+        self.square = if begins_anew { 0.0 } else { self.square };
+        self.product = if begins_anew { 0.0 } else { self.product };
         self.raised |= self.kind(rules, expected.ratio);
         let careful = settled & (own_high.max(own_low) > CAREFUL_FROM);
         let rate = if careful { CAREFUL } else { 1.0 };
@@ -487,10 +497,17 @@ impl Level {
         let raised = self.is_raised();
         let power_w = if raised { self.slow_w } else { self.own_w };
         let command_w = if raised { self.slow_command_w } else { self.own_command_w };
+        self.among_of(rules, (power_w, command_w))
+    }
+
+    /// The same of these means.
+    #[inline(always)]
+    fn among_of(&self, rules: &LevelRules, (power_w, command_w): (f32, f32)) -> f32 {
         let expected_w = rules.among * command_w;
         let scale_w = (0.5 * (power_w.max(0.0) + expected_w)).max(rules.floor_w);
         let spread = rules.spread + rules.variances[1] * (MEANS_S[1] / self.own_s.max(AMONG_S));
-        let share = (power_w - expected_w) / (scale_w * spread.sqrt() * (AMONG * self.limit(rules)));
+        let share =
+            (power_w - expected_w) / (scale_w * spread.sqrt() * (AMONG * self.limit(rules)));
         let accepted = self.raised & ACCEPTED != 0;
         let judged = (rules.among > 0.0) & (self.own_s >= AMONG_S) & !accepted;
         if judged { share } else { 0.0 }

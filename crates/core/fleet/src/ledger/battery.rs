@@ -34,6 +34,8 @@ const UNKNOWN: (f64, f64, f64, f64) = (0.5, 1.0, 0.0, 0.0);
 const FULL: u8 = 1;
 const SWAPPED: u8 = 2;
 const OFF: u8 = 4;
+/// Two counts that differ by less are one: a sensor may state a step of 0.
+const LEAST_STEP: f64 = 0.01;
 /// A correction of the charge by more than this is not what was charged.
 const MAX_CORRECTION: f64 = 0.03;
 /// Time constant of the power at rest, s.
@@ -520,6 +522,7 @@ impl BatteryState {
         }
         self.counted -= if self.charging { 0.0 } else { self.drawn(&counting, at) };
         self.know((soc, sd), at);
+        self.lessons.charge(None, None);
         self.learn(battery, (soc, self.counted, sd));
         self.lessons.begin((soc, self.counted, sd));
     }
@@ -654,7 +657,7 @@ impl BatteryState {
             return;
         };
         let drawn = capacity.value().unwrap_or(1.0) * pair.counted;
-        let mirrors = (pair.depth - drawn).abs() <= battery.sensor_step as f32;
+        let mirrors = (pair.depth - drawn).abs() <= battery.sensor_step.max(LEAST_STEP) as f32;
         if (capacity.value().is_some() || !mirrors)
             && capacity.learn(1.0, drawn, (pair.depth, pair.depth_sd))
         {

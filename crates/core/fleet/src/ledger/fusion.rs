@@ -177,6 +177,7 @@ impl BatteryState {
         (self.pause_s, self.pause) = (0.0, 0.0);
         (self.monitor, self.bias_monitor) = (0.0, 0.0);
         self.lessons.end();
+        self.lessons.charge(None, None);
         self.fused = true;
     }
 }

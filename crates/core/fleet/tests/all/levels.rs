@@ -145,6 +145,36 @@ fn a_load_from_the_first_sample_on_is_found_beside_the_levels_of_other_robots() 
     }
 }
 
+#[test]
+fn a_load_from_the_first_sample_on_that_is_taken_off_leaves_no_alarm() {
+    for factor in [1.6, 2.0, 3.0, 0.4] {
+        let mut settings = world::settings(20);
+        settings.platforms[2].energy_online = true;
+        settings.alarms.level_limit = 8.0;
+        let mut fleet = Fleet::new(settings, world::models()).unwrap();
+        let (mut source, mut was_raised) = (Source::new(1, 1), false);
+        for step in 0..240_000 * MS / PERIOD_NS {
+            let now_ns = 60_000 * MS + step * PERIOD_NS;
+            let is_loaded = step < 60_000 * MS / PERIOD_NS;
+            let frame: Vec<Sample> = (200..220)
+                .map(|robot| {
+                    let own = 1.0 + 0.01 * (robot * 7 % 11) as f32;
+                    let of_load = if is_loaded && robot == 205 { factor } else { 1.0 };
+                    let ripple_w = 0.05 * ((step + u64::from(robot)) as f32 * 0.31).sin();
+                    let sample = Sample::new(robot, step, now_ns).command(0.1, 0.5);
+                    sample.reading(3.6 * own * of_load + ripple_w, now_ns)
+                })
+                .collect();
+            source.tick(&mut fleet, &frame, now_ns);
+            let alarms = AlarmSet(world::diagnostic(&fleet, 205).alarms);
+            was_raised |= is_loaded && alarms.iter().any(|alarm| alarm.is_of_level());
+        }
+        let alarms = AlarmSet(world::diagnostic(&fleet, 205).alarms);
+        let left: Vec<Alarm> = alarms.iter().filter(|alarm| alarm.is_of_level()).collect();
+        assert!(was_raised && left.is_empty(), "{factor}: {was_raised} {left:?}");
+    }
+}
+
 /// Alarms of a robot of a platform with a persistence model, at a power for 60 s and at a multiple
 /// of it for 30 s. `command`: its velocities.
 fn untrained(command: Option<(f32, f32)>, factor: f32) -> [Vec<Alarm>; 2] {
