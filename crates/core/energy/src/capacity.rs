@@ -90,8 +90,7 @@ impl Capacity {
     }
 }
 
-/// Number of pairs of the same weight that are worth as much as these: (Σw)² / Σw² for weights
-/// that fall by [`AGE`].
+/// Number of full pairs that a sum of weights is worth, if weights fall by [`AGE`].
 fn pairs(weight: f32) -> f32 {
     weight * (1.0 + AGE) / (2.0 - (1.0 - AGE) * weight)
 }

@@ -115,13 +115,13 @@ pub struct Moment {
 
 impl Moment {
     /// `full_j`: energy in the battery before the trip.
-    fn new(answer: &Answer, full_j: f32, capacity_j: Option<f64>) -> Self {
-        let charge = answer.left.zip(answer.energy).zip(capacity_j);
+    fn new(answer: &Answer, full_j: Option<f32>, capacity_j: Option<f64>) -> Self {
+        let charge = answer.left.zip(answer.energy).zip(full_j.zip(capacity_j));
         Self {
             time_s: answer.duration_s,
             energy: answer.energy,
             left: answer.left,
-            charge: charge.map(|((left, energy), capacity_j)| {
+            charge: charge.map(|((left, energy), (full_j, capacity_j))| {
                 let most_j = (full_j - energy.lo_j).max(0.0);
                 let share = |energy_j: f32| (f64::from(energy_j) / capacity_j).min(1.0) as f32;
                 [share(left.mean_j), share(left.lo_j), share(most_j)]
@@ -198,7 +198,7 @@ impl AnswerReport {
             }
         });
         let its = || along.iter().filter(|row| row.robot == self.robot).map(|row| &row.answer);
-        let full_j = its().next().and_then(full_j).unwrap_or(f32::NAN);
+        let full_j = its().next().and_then(full_j);
         self.along = its().map(|answer| Moment::new(answer, full_j, capacity_j)).collect();
     }
 
@@ -391,7 +391,7 @@ mod tests {
         };
         let full_j = full_j(&moment(10.0)).unwrap();
         let charges = [10.0, 60.0, 100.0]
-            .map(|mean_j| Moment::new(&moment(mean_j), full_j, Some(100.0)).charge.unwrap());
+            .map(|mean_j| Moment::new(&moment(mean_j), Some(full_j), Some(100.0)).charge.unwrap());
         assert_eq!(charges, [[0.4, 0.0, 0.42], [0.0, 0.0, 0.02], [0.0; 3]]);
     }
 
