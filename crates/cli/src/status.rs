@@ -103,7 +103,9 @@ impl Fleet {
         let path = pid.and_then(config_of);
         let own = path.as_ref().and_then(|path| Config::load(path).ok());
         let config = own.as_ref().or(config).filter(|config| is_its(config));
-        let all = nodes(domain).unwrap_or_default().into_iter();
+        // Names of nodes have the prefix.
+        let own = config.and_then(|config| config.domain().ok());
+        let all = nodes(own.as_ref().unwrap_or(domain)).unwrap_or_default().into_iter();
         let alive = all.filter(|node| node.alive == Some(true) && !node.name.is_empty());
         let names: BTreeSet<String> = alive.map(|node| node.name).collect();
         Self {

@@ -14,7 +14,7 @@ use joulebus_consumer::{AlarmChange, AlarmFeed, Change, FleetAlarm};
 use joulebus_plan::report::Lasting;
 use joulebus_predictor_worker::{RefusalLog, RefusedSamples};
 use joulebus_program::logging::ALARMS;
-use joulebus_wire::Level;
+use joulebus_wire::{DropReason, Level};
 use serde::Serialize;
 
 /// Pause before the diagnostics are opened again.
@@ -145,6 +145,7 @@ impl Logging {
             // Another reason may have come first: then the values are not at fault.
             found: (settings.refusal(&one.sample))
                 .filter(|refused| refused.reason == one.reason)
+                .filter(|_| one.reason != DropReason::UnknownRobot)
                 .map(|refused| refused.found()),
         };
         let log = self.refusals.lock().unwrap_or_else(PoisonError::into_inner);

@@ -151,10 +151,6 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let read = args.path.as_deref().map(read).transpose()?;
     let (mut path, charge_to) = read.map_or((None, None), |(path, to)| (Some(path), to));
     let charge_to = args.charge_to.or(charge_to);
-    if charge_to.is_some() && args.through == Through::Worker {
-        let wrong = "charge_to is answered from shared memory: leave out --through worker";
-        return Err(UsageError(wrong.to_owned()).into());
-    }
     if let Some(path) = &mut path {
         path.tolerance_m = args.tolerance;
     }
@@ -273,7 +269,8 @@ impl Args {
     /// Answers here, from shared memory.
     fn compute<'a>(&self, config: &'a Config, question: Question) -> anyhow::Result<Asked<'a>> {
         let mut planner = Planner::with_config(config, "ask")?;
-        let mut diagnostics = planner.subscriber().diagnostics()?;
+        // The answer stands without them.
+        let mut diagnostics = planner.subscriber().diagnostics().ok();
         let fleet = planner.fleet().clone();
         let domain = config.domain()?;
         let timeout = match NoWorker::look(&domain) {
@@ -295,7 +292,7 @@ impl Args {
         let budgets: Vec<Budget> = rows.map(|(_, budget)| budget).collect();
         note_pauses(&budgets);
         let (tick, age_ns) = (view.tick(), view.age_ns());
-        if let Some(header) = newest_header(&mut diagnostics)? {
+        if let Some(header) = diagnostics.as_mut().and_then(newest_header) {
             let platforms = Platforms::new(config.settings());
             let fit = model_fit(platforms.names(), &header.platforms);
             let asked: BTreeSet<_> =
@@ -414,15 +411,15 @@ impl Args {
 }
 
 /// The header of the newest diagnostics. `None` if the worker sends none for lack of time.
-fn newest_header(feed: &mut Feed<Diagnostics>) -> anyhow::Result<Option<DiagnosticHeader>> {
+fn newest_header(feed: &mut Feed<Diagnostics>) -> Option<DiagnosticHeader> {
     const LOOKS: u32 = 20;
     for _ in 0..LOOKS {
-        if let Some(frame) = feed.latest()? {
-            return Ok(Some(*frame.header()));
+        if let Some(frame) = feed.latest().ok()? {
+            return Some(*frame.header());
         }
         clock::sleep(Duration::from_millis(10));
     }
-    Ok(None)
+    None
 }
 
 /// The error of a question that the worker does not answer. Where there is no worker, it says whose

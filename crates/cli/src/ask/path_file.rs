@@ -118,9 +118,16 @@ fn of_order(mut nodes: Vec<Node>, edges: &[Edge], speed_mps: f64) -> Result<Path
         let Some(Position { x, y }) = node_position else {
             return Err(format!("node {node_id:?} has no nodePosition: state x and y"));
         };
-        let is_towards =
-            |edge: &&Edge| edge.end_node_id == node_id && edge.sequence_id + 1 == sequence_id;
+        let is_towards = |edge: &&Edge| {
+            edge.end_node_id == node_id && edge.sequence_id.checked_add(1) == Some(sequence_id)
+        };
         let edge = edges.iter().find(is_towards);
+        if edge.is_none() && !path.points.is_empty() {
+            let expected = sequence_id.saturating_sub(1);
+            return Err(format!(
+                "no edge leads to node {node_id:?}: state it, sequenceId {expected}"
+            ));
+        }
         if let Some(Edge { edge_id, .. }) = edge.filter(|edge| edge.trajectory.is_some()) {
             return Err(format!(
                 "edge {edge_id:?} has a trajectory: only straight edges are read. State points of \
@@ -149,6 +156,9 @@ fn parse(text: &str, speed_mps: Option<f64>) -> Result<(Path, Option<f64>), Stri
         let message: Message =
             serde_json::from_str(text).map_err(|error| format!("{error}: {expected}"))?;
         let path = message.path(speed_mps.unwrap_or(f64::INFINITY))?;
+        if path.points.is_empty() {
+            return Err("has no points: the first is where the robot is".to_owned());
+        }
         return Ok((path, None));
     }
     let lines = text.lines().zip(1..);
@@ -237,8 +247,8 @@ mod tests {
             "edges": [
             {"edgeId": "ab", "sequenceId": 1, "startNodeId": "a", "endNodeId": "b", "maxSpeed": 0.3},
             {"edgeId": "ba", "sequenceId": 3, "startNodeId": "b", "endNodeId": "a"}]}"#;
-        assert_eq!(parse(order, Some(0.2)).expect("valid").speed_mps, [0.2; 3]);
-        let path = parse(order, None).expect("valid");
+        assert_eq!(parse(order, Some(0.2)).expect("valid").0.speed_mps, [0.2; 3]);
+        let (path, _) = parse(order, None).expect("valid");
         assert_eq!(
             path.points,
             [(0.0, 0.0), (2.0, -1.0), (0.0, 0.0)].map(|(x, y)| Point::new(x, y))
@@ -255,18 +265,26 @@ mod tests {
             format!(r#"{{"poses": [{}, {}]}}"#, pose(0, stamps[0]), pose(3, stamps[1]))
         };
         let timed = poses(["7", "9"], ["sec", "nanosec"]);
-        let path = parse(&timed, None).expect("valid");
+        let (path, _) = parse(&timed, None).expect("valid");
         assert_eq!((&path.points[1], &path.time_s), (&Point::new(3.0, 1.0), &vec![7.5, 9.5]));
         let published = format!(r#"{{"op": "publish", "topic": "/plan", "msg": {timed}}}"#);
-        assert_eq!(parse(&published, None).expect("valid"), path);
+        assert_eq!(parse(&published, None).expect("valid").0, path);
         let planned = poses(["7", "7"], ["secs", "nsecs"]);
-        assert!(parse(&planned, None).expect("valid").time_s.is_empty());
+        assert!(parse(&planned, None).expect("valid").0.time_s.is_empty());
     }
 
     #[test]
     fn wrong_files_are_refused_with_the_line() {
         for (text, expected) in [
             (r#"{"points": []}"#, "VDA 5050"),
+            (r#"{"poses": []}"#, "no points"),
+            (r#"{"nodes": [], "edges": []}"#, "no points"),
+            (
+                r#"{"nodes": [{"nodeId": "a", "sequenceId": 0, "nodePosition": {"x": 1, "y": 2}},
+                {"nodeId": "b", "sequenceId": 2, "nodePosition": {"x": 1, "y": 2}}],
+                "edges": [{"edgeId": "e", "sequenceId": 18446744073709551615, "endNodeId": "b"}]}"#,
+                "no edge leads to node \"b\"",
+            ),
             (r#"{"nodes": [{"nodeId": "a", "sequenceId": 0}], "edges": []}"#, "nodePosition"),
             (
                 r#"{"nodes": [{"nodeId": "a", "sequenceId": 2, "nodePosition": {"x": 1, "y": 2}}],
