@@ -33,6 +33,13 @@ export class BatteryForm {
       event.preventDefault();
       this.#state(event.submitter.value);
     });
+    // Enter would press the first button, which states a full battery.
+    this.form.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" || event.target.tagName !== "INPUT") return;
+      event.preventDefault();
+      if (event.target.name !== "charge") return;
+      this.form.requestSubmit(this.form.querySelector("[value=charge]"));
+    });
   }
 
   open(robot) {

@@ -343,6 +343,21 @@ impl<S: AsyncWrite + Unpin> AsyncWrite for Watched<S> {
         self.watch(cx, bytes.len(), written)
     }
 
+    // Without it hyper copies each answer into a buffer of its own, which nobody counts.
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        parts: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        let written = Pin::new(&mut self.stream).poll_write_vectored(cx, parts);
+        let bytes = parts.iter().map(|part| part.len()).sum();
+        self.watch(cx, bytes, written)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.stream.is_write_vectored()
+    }
+
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Pin::new(&mut self.stream).poll_flush(cx)
     }

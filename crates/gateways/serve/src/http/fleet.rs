@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use joulebus_board::{AheadScores, Board, Counted, Link, UPPER_S};
-use joulebus_connect::refusals::Refused;
+use joulebus_connect::refusals::{Refusals, Refused};
 use joulebus_wire::{OUTLOOK_HORIZONS, budget_flag, forecast_flag};
 use serde::Serialize;
 
@@ -191,8 +191,9 @@ impl FleetRecord {
             model_hash: header.map(|header| format!("{:016x}", header.model_hash)),
             model_warnings: around.model_warnings.to_vec(),
             refusals: {
-                let of_sources = board.refusals.sources.iter().filter(|one| one.found.is_none());
-                let all = board.refusals.robots.iter().chain(of_sources);
+                let Refusals { sources, robots } = &board.refusals;
+                let told = |one: &&Refused| robots.iter().any(|robot| robot.reason == one.reason);
+                let all = robots.iter().chain(sources.iter().filter(|one| !told(one)));
                 all.filter(|refused| refused.is_recent()).map(RefusalRecord::from).collect()
             },
             model_fit: board.model_fit(),
