@@ -44,15 +44,17 @@ pub(crate) struct Requests<T = Asked> {
     arrived: Condvar,
 }
 
-/// Requests in the order of their arrival, each with its round, and the round of the last.
+/// Requests in the order of their arrival, each with its round, the round of the last, and the
+/// programs that it has served.
 struct Waiting<T> {
     requests: Vec<(u64, Asker, T)>,
     round: u64,
+    served: Vec<Asker>,
 }
 
 impl<T> Default for Requests<T> {
     fn default() -> Self {
-        let waiting = Mutex::new(Waiting { requests: Vec::new(), round: 0 });
+        let waiting = Mutex::new(Waiting { requests: Vec::new(), round: 0, served: Vec::new() });
         Self { waiting, arrived: Condvar::new() }
     }
 }
@@ -67,7 +69,8 @@ impl<T> Requests<T> {
         if free == 0 || (own.len() + 1 > free && !own.is_empty()) {
             return false;
         }
-        let round = own.last().map_or(waiting.round, |last| last + 1);
+        let next = waiting.round + u64::from(waiting.served.contains(&asker));
+        let round = own.last().map_or(next, |last| last + 1);
         waiting.requests.push((round, asker, asked));
         self.arrived.notify_one();
         true
@@ -82,8 +85,12 @@ impl<T> Requests<T> {
         let rounds = waiting.requests.iter().enumerate();
         // Of several the first.
         let (place, _) = rounds.min_by_key(|(_, (round, ..))| *round)?;
-        let (round, _, asked) = waiting.requests.remove(place);
+        let (round, asker, asked) = waiting.requests.remove(place);
+        if round > waiting.round || waiting.served.len() == MAX_REQUESTS {
+            waiting.served.clear();
+        }
         waiting.round = round;
+        waiting.served.push(asker);
         Some(asked)
     }
 }
