@@ -73,19 +73,23 @@ impl OtherRoot {
     /// Remedy if the fleet of that user is wanted.
     #[must_use]
     pub fn remedy(&self) -> String {
+        let uid = self.uid;
+        let command = match self.user() {
+            Some(user) => format!("su -s /bin/sh {user} -c 'joulebus …'"),
+            None => format!("setpriv --reuid {uid} --clear-groups joulebus …"),
+        };
         format!(
-            "run this as that user (root: `su -s /bin/sh {} -c 'joulebus …'`), or have that user \
-             pass the fleet on with `joulebus serve --socket PATH` or `--http ADDRESS`",
-            self.user()
+            "run this as that user (root: `{command}`), or have that user pass the fleet on with \
+             `joulebus serve --socket PATH` or `--http ADDRESS`"
         )
     }
 
-    /// The user's name, or the id if it has none.
-    fn user(&self) -> String {
+    /// The user's name, if it has one.
+    fn user(&self) -> Option<String> {
         let all = fs::read_to_string("/etc/passwd").unwrap_or_default();
         let uid = self.uid.to_string();
         let own = all.lines().find(|line| line.split(':').nth(2) == Some(uid.as_str()));
-        own.and_then(|line| line.split(':').next()).map_or(uid, str::to_owned)
+        own.and_then(|line| line.split(':').next()).map(str::to_owned)
     }
 }
 
@@ -152,7 +156,7 @@ impl fmt::Display for OtherRoot {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { path, uid, pid } = self;
         let path = path.display();
-        let user = self.user();
+        let user = self.user().unwrap_or_else(|| self.uid.to_string());
         write!(out, "{path} is of {user} (uid {uid}), whose joulebus runs (pid {pid})")
     }
 }

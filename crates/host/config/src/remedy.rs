@@ -253,8 +253,11 @@ pub(crate) fn unknown_key(file: Option<File>, path: &str, value: Option<f64>) ->
         return by.to_owned();
     }
     let name = path.rsplit('.').next().unwrap_or(path).to_lowercase();
-    let has = |words: &[&str]| name.split('_').any(|word| words.contains(&word));
-    if let Some((_, instead)) = NEVER.iter().find(|(words, _)| has(words)) {
+    let is_ours =
+        |word: &str| allowed(file).any(|(_, key)| key.name().split('_').any(|own| own == word));
+    let has = |words: &[&str]| name.split('_').any(|word| words.contains(&word) && !is_ours(word));
+    let of_robot = matches!(file, None | Some(File::Fleet | File::Platform));
+    if let Some((_, instead)) = NEVER.iter().find(|(words, _)| of_robot && has(words)) {
         return (*instead).to_owned();
     }
     let words = path.split_inclusive(['.', '_']).map(|word| {

@@ -55,7 +55,8 @@ impl WholeFolder {
     /// Those of [`replace`](crate::replace()).
     pub fn keep(self) -> io::Result<()> {
         let drafts = self.drafts;
-        let is_new = fs::read_dir(&self.folder).map_or(true, |mut files| files.next().is_none());
+        // An empty folder may be the working directory, a link, or a mount.
+        let is_new = !disk::exists(&self.folder);
         if !is_new {
             for (name, draft) in drafts {
                 let path = self.folder.join(name);
