@@ -306,7 +306,10 @@ def _main() -> int:
     ):
         parser.add_argument(f"--{name}", type=float, default=0.0 if name in ("hotel-w", "tool-w") else None, help=text)
     parser.add_argument("--accept", action="append", default=[], help="a finding to let through, as of `joulebus train`")
+    parser.add_argument("--current", choices=["discharge-positive", "discharge-negative"], help="the sign of the current")
+    parser.add_argument("--map", dest="columns", action="append", default=[], metavar="QUANTITY=COLUMN", help="a column")
     given = vars(parser.parse_args())
+    given["columns"] = dict(pair.split("=", 1) for one in given["columns"] for pair in one.split(",")) or None
     try:
         found = fit(given.pop("recordings"), **given)
     except Exception as error:
