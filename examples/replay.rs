@@ -23,8 +23,8 @@ fn main() -> anyhow::Result<()> {
     // The config and the models that the worker ran with are attached to the capture.
     let attachments = reader.attachments();
     let fleet = attachments.fleets().next().context("no fleet in it")?.to_owned();
-    let unpacked = attachments.unpack(&fleet, directory.path())?;
-    let config = Config::load(unpacked.context("no config in it")?)?;
+    let config = attachments.config(&fleet).context("no config in it")?;
+    let config = Config::parse_attached(config, &attachments.files(&fleet))?;
 
     let mut verifier = Verifier::new(config.settings().clone(), load_models(&config)?)?;
     while let Some(entry) = reader.next_entry()? {
