@@ -18,7 +18,7 @@ use crate::{Charger, Judgement, RobotState};
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Interval of writing what is implausible, and of reading what is refused.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
-/// Robots that are judged at the same time: 11 MB. Others follow when these are found plausible.
+/// Robots that are judged at the same time: 22 MB. Others follow when these are found plausible.
 const MAX_JUDGED: usize = 1024;
 /// States that wait for the thread, at least. Further ones are not judged.
 const MIN_WAITING: usize = 1024;
