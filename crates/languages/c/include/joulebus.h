@@ -166,6 +166,13 @@
 /** The alarm Implausible is raised: the source doubts what it reports. */
 #define JOULEBUS_PLAN_STATE_ALARM_IMPLAUSIBLE 0x800u
 
+/** The model states what the robots of its training drew. */
+#define JOULEBUS_PLATFORM_TRAINED 0x1u
+/** It also states what commands cost. */
+#define JOULEBUS_PLATFORM_COMMANDS 0x2u
+/** The next robot starts from its last reading, not from the model's forecast. */
+#define JOULEBUS_PLATFORM_FROM_LAST 0x4u
+
 /** After the path, return to return_x_m, return_y_m. */
 #define JOULEBUS_QUERY_RETURN 0x1u
 /** heading_rad is the heading at the first point. Without it, towards the second. */
@@ -553,6 +560,36 @@ typedef struct joulebus_diagnostic {
     float level_w;
 } joulebus_diagnostic;
 
+/** What the robots of a platform have shown together. 36 bytes, all 0 where there is none. */
+typedef struct joulebus_platform_memory {
+    /** platform_flag bits. */
+    uint32_t flags;
+    /** Known robots, at most 32. */
+    float robots;
+    /** Median of the mean powers of the robots, in that of the training. 0 without one. */
+    float drawn;
+    /**
+     * The same as a prior of the next robot. No robot alone moves it by more than 5 %, so it stays
+     * near 1 in a small fleet.
+     */
+    float power;
+    /** How far commands explain the power: 1 as far as in the training, 0 not at all. */
+    float command_trust;
+    /**
+     * Squared error of the first forecasts above that of the last reading, in the variance of the
+     * model's errors.
+     */
+    float start_excess;
+    /** Scatter of the levels of each robot, in that of the model. */
+    float scatter;
+    /**
+     * Median power of the robots, in that of their commands. 0 while fewer than eight are known.
+     */
+    float level;
+    /** Relative standard deviation of that power between robots. */
+    float spread;
+} joulebus_platform_memory;
+
 /** Header of a frame of diagnostics. */
 typedef struct joulebus_diagnostic_header {
     /** SCHEMA_VERSION. */
@@ -565,6 +602,11 @@ typedef struct joulebus_diagnostic_header {
     uint64_t tick;
     /** Recent refusals. See DiagnosticHeader::refusals. */
     joulebus_refusal refused[16];
+    /**
+     * What the robots of each platform have shown, in the order of the config. Of the first 16
+     * platforms.
+     */
+    joulebus_platform_memory platforms[16];
 } joulebus_diagnostic_header;
 
 /**
@@ -685,8 +727,8 @@ typedef struct joulebus_budget_header {
  * The assumption: the robot goes on as it does. Its future commands are unknown. The forecast
  * follows from its own recent power, with the platform's mean as the prior.
  * The horizons are 1, 10, 60 and 300 s from stamp_ns on, in this order in each array. The energy
- * lies between the bounds (_lo, _hi) with 90 %. Only the first bounded horizons have bounds: the
- * model has no known errors beyond.
+ * lies between the bounds (_lo, _hi) with 90 %. The first bounded horizons have bounds: all, or
+ * none of a model without known errors.
  */
 typedef struct joulebus_outlook {
     /** Id of the robot. */
