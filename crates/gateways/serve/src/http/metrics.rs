@@ -478,7 +478,7 @@ fn histogram(
 mod tests {
     use joulebus_board::{Board, Link, Platforms};
     use joulebus_testkit::assert_page_contains;
-    use joulebus_wire::{DropReason, ForecastHeader, QueryCounts, QueryRefusal};
+    use joulebus_wire::{CHARGE_TENTHS, DropReason, ForecastHeader, QueryCounts, QueryRefusal};
 
     use super::super::alarms::Alarms;
     use super::super::fleet::{Around, Distributions, FleetRecord};
@@ -542,7 +542,12 @@ mod tests {
         QueryRefusal::ALL.into_iter().for_each(|reason| queries.refuse(reason));
         board.queries = Some(queries);
         board.diagnostics(&[Diagnostic { robot: 1, flags: u32::MAX, ..Diagnostic::default() }], 0);
-        board.budgets(&[Budget { robot: 1, flags: u32::MAX, ..Budget::default() }]);
+        board.budgets(&[Budget {
+            robot: 1,
+            flags: u32::MAX,
+            charge_rate: [100; CHARGE_TENTHS],
+            ..Budget::default()
+        }]);
         let outlook =
             Outlook { robot: 1, flags: u32::MAX, bounded: u16::MAX, ..Outlook::default() };
         let format = TextFormat::Classic;
