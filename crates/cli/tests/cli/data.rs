@@ -25,7 +25,7 @@ fn faults_of_recordings_are_reported_with_file_and_row_and_exit_code_3() {
     let report = json(&output(["data", "check", folder, "--format", "json"]));
     assert_eq!((&report["sound"], &report["files"]), (&false.into(), &2.into()));
     assert_eq!(report["findings"][0]["kind"], "gap");
-    assert_eq!(report["findings"][0]["places"][0]["row"], 50);
+    assert_eq!(report["findings"][0]["places"][0]["row"], 51);
 
     output(["data", "check", &format!("{folder}/*.npy")]).exits(2);
 }

@@ -110,7 +110,7 @@ fn help_and_usage_errors_need_no_executable() {
         ("help train trials", 0, "--hold-out"),
         ("publish --help", 0, "trial"),
         ("publish trial", 2, "PATH"),
-        ("config init", 2, "--from"),
+        ("config init --from", 2, "--from"),
         ("serve", 2, "--http"),
         ("bench abacus", 2, "kernel"),
         ("serve --http --format csv", 2, "csv went: the verb `cat`"),
