@@ -68,6 +68,7 @@ pub enum SourceLine {
 
 /// A message from a planner or recorder.
 #[derive(Debug, Clone, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // It is sent as text at once.
 pub enum ReaderLine {
     /// The planner has joined.
     Ready,

@@ -166,7 +166,7 @@ impl fmt::Display for Status {
                 None => write!(out, "no worker. Start one with `joulebus run`")?,
                 Some(0) => write!(out, "a worker in another container")?,
                 Some(pid) if fleet.is_link => {
-                    write!(out, "worker on another host, link pid {pid}")?
+                    write!(out, "worker on another host, link pid {pid}")?;
                 }
                 Some(pid) => write!(out, "worker pid {pid}")?,
             }

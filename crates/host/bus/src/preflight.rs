@@ -344,9 +344,9 @@ mod tests {
     #[test]
     fn every_channel_and_its_readers_count() {
         for (capacity, max_planners, [sources, workers, planners], bytes, open_files) in [
-            (64, 8, [1, 1, 1], 16_032_240, 556),
-            (1_000, 32, [4, 1, 9], 161_475_440, 1_228),
-            (10_000, 60, [0, 2, 3], 4_035_304_224, 2_012),
+            (64, 8, [1, 1, 1], 16_194_352, 556),
+            (1_000, 32, [4, 1, 9], 166_621_872, 1_228),
+            (10_000, 60, [0, 2, 3], 4_208_414_112, 2_012),
         ] {
             let limits = Limits { capacity, max_planners, ..Limits::default() };
             let found = needed_bytes(&limits, Ports { sources, workers, planners });

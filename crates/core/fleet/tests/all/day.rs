@@ -475,9 +475,7 @@ fn over_a_day_energy_left_never_rises_bounds_hold_and_probabilities_are_what_hap
             all.stated += of.stated;
             all.happened += of.happened;
         }
-        for at in 0..2 {
-            inside[at] += day.inside[at];
-        }
+        inside = [0, 1].map(|at| inside[at] + day.inside[at]);
         for (all, of) in lengths.iter_mut().zip(day.lengths) {
             all.plans += of.plans;
             all.inside += of.inside;

@@ -197,7 +197,9 @@ const SETS: [(&str, FeatureSet, &[&str]); 3] = [
     ("ase_rover", FeatureSet::PowerOnly, &["baseline", "final"]),
 ];
 
-const NUMBERS: [(&str, fn(&mut Memory)); 4] = [
+type Change = fn(&mut Memory);
+
+const NUMBERS: [(&str, Change); 4] = [
     ("all", |_| ()),
     ("without the mean", |memory| memory.power = 1.0),
     ("without the trust", |memory| memory.command_trust = 1.0),

@@ -442,7 +442,7 @@ mod tests {
         let seen = read(&[one.clone(), other.clone()]).0.unwrap();
         assert_eq!((seen.power.unwrap().power_w, seen.voltage_v), (127.0, Some(52.0)));
         assert!((seen.soc.unwrap() - 0.6).abs() < 1e-6 && seen.charging == Some(false));
-        assert_eq!(read(&[one.clone()]).0.unwrap().power.unwrap().power_w, 100.0);
+        assert_eq!(read(std::slice::from_ref(&one)).0.unwrap().power.unwrap().power_w, 100.0);
         // A slot without a battery leaves nothing known of the power.
         let missing = read(&[one, pack(0.0, 0.0, 0.0, 1)]).0;
         assert_eq!(missing.map(|seen| (seen.power, seen.soc)), Some((None, None)));
