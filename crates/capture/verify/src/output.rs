@@ -124,9 +124,10 @@ impl Output {
             |tick, place| tick.fleet.forecast(place),
         );
         let diagnostics = Self::of::<Diagnostics>(
-            &["refused"],
+            &["refused", "platforms"],
             |tick| DiagnosticHeader {
                 refused: tick.fleet.refusals(),
+                platforms: tick.fleet.platform_memories(),
                 ..DiagnosticHeader::default()
             },
             |tick, place| tick.fleet.diagnostic(place),
