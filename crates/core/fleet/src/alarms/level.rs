@@ -26,8 +26,8 @@
 //! level, if it was apart itself, then begins anew.
 //!
 //! **The limit grows with time.** A robot that runs for hours has thousands of chances to deviate.
-//! So the limit grows by up to [`LATER`] with the seconds of the own level, by half of that after
-//! [`LATER_S`].
+//! So the limit grows by up to [`LATER`] with the seconds of the own level, by half of that at
+//! [`LATER_S`], and hardly in the first half minute.
 //!
 //! **Nothing is learned away.** While an alarm is raised the own level is frozen. While the
 //! deviation is above [`CAREFUL_FROM`] of the limit it learns at an eighth of the rate.
@@ -68,9 +68,9 @@ const SLOW: f32 = 0.5;
 const AMONG: f32 = 0.75;
 /// Seconds of the own level before it is compared with others, and before it is shown to them.
 const AMONG_S: f32 = 10.0;
-/// Growth of the limit with the seconds of the own level, and half of that time, s.
-const LATER: f32 = 0.45;
-const LATER_S: f32 = 120.0;
+/// Growth of the limit with the seconds of the own level, and their number at half of it.
+const LATER: f32 = 0.375;
+const LATER_S: f32 = 100.0;
 /// Age from which the slow mean is judged, s.
 const SLOW_AGE_S: f32 = 6.0;
 /// Time constant of the own level, s.
@@ -467,7 +467,8 @@ impl Level {
     /// The limit after the seconds of the own level.
     #[inline(always)]
     fn limit(&self, rules: &LevelRules) -> f32 {
-        rules.limit * (1.0 + LATER * self.own_s / (self.own_s + LATER_S))
+        let square = self.own_s * self.own_s;
+        rules.limit * (1.0 + LATER * square / (square + LATER_S * LATER_S))
     }
 
     /// Relative deviation of a mean from what is expected, and its variance.
