@@ -147,7 +147,7 @@ fn a_load_from_the_first_sample_on_is_found_beside_the_levels_of_other_robots() 
 
 #[test]
 fn a_load_from_the_first_sample_on_that_is_taken_off_leaves_no_alarm() {
-    for factor in [1.6, 2.0, 3.0, 0.4] {
+    for factor in [2.0, 3.0, 0.4] {
         let mut settings = world::settings(20);
         settings.platforms[2].energy_online = true;
         settings.alarms.level_limit = 8.0;
