@@ -38,7 +38,7 @@ pub struct Capacity {
 impl Capacity {
     /// The best estimate. `None` before the first pair.
     #[must_use]
-    pub fn value(&self) -> Option<f32> {
+    pub fn learned(&self) -> Option<f32> {
         (self.weight > 0.0).then_some(self.value)
     }
 
@@ -66,7 +66,7 @@ impl Capacity {
         if !counts {
             return false;
         }
-        let before = self.value().unwrap_or(stated);
+        let before = self.learned().unwrap_or(stated);
         let off = (capacity / before - 1.0).clamp(-MAX_OFF, MAX_OFF);
         let weight = AGE * self.weight + depth;
         let newest = depth / weight;
@@ -116,12 +116,12 @@ mod tests {
             let mut learned = Capacity::default();
             for (drawn, depth, sd) in bits.chain(sane) {
                 let before = learned;
-                let from = before.value().unwrap_or(10.0);
+                let from = before.learned().unwrap_or(10.0);
                 let counts = learned.learn(10.0, drawn, (depth, sd));
                 let is_deep = (0.3..=1.0).contains(&depth) && drawn > 0.0;
                 prop_assert!(is_deep || !counts);
                 prop_assert!(counts || learned == before);
-                if let Some(value) = learned.value() {
+                if let Some(value) = learned.learned() {
                     prop_assert!(learned.is_sound(10.0), "{:?}", learned);
                     prop_assert!((value / from - 1.0).abs() < 0.1 + 1e-5, "{} to {}", from, value);
                     prop_assert!(learned.sd > 0.0, "{:?}", learned);
@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn a_worn_battery_is_learned_within_its_interval_and_deep_pairs_count_more() {
         let mut learned = Capacity::default();
-        assert_eq!(learned.value(), None);
+        assert_eq!(learned.learned(), None);
         for cycle in 0..30 {
             let off = 1.0 + 0.02 * (cycle as f32 * 1.7).sin();
             assert!(learned.learn(10.0, 0.7 * 6.0 * off, (0.7, 0.01)));

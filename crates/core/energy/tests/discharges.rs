@@ -50,10 +50,10 @@ fn the_minutes_of_a_robot_whose_battery_ages_are_forecast_from_the_discharges_be
     for minutes in &minutes {
         let mut next = *learned.last().unwrap();
         // Where nothing is stated, the first discharge is.
-        assert!(next.learn(next.value().unwrap_or(*minutes), *minutes, (1.0, 0.0)));
+        assert!(next.learn(next.learned().unwrap_or(*minutes), *minutes, (1.0, 0.0)));
         learned.push(next);
     }
-    let rule = |at: usize| learned[at].value().unwrap();
+    let rule = |at: usize| learned[at].learned().unwrap();
     let half = minutes.len() / 2;
     for (part, from) in [("all", LEARNED), ("second half", half)] {
         let of = |name, (error, long)| {

@@ -656,9 +656,9 @@ impl BatteryState {
         let Some(pair) = self.lessons.pair(end, battery.sensor_step) else {
             return;
         };
-        let drawn = capacity.value().unwrap_or(1.0) * pair.counted;
+        let drawn = capacity.learned().unwrap_or(1.0) * pair.counted;
         let mirrors = (pair.depth - drawn).abs() <= battery.sensor_step.max(LEAST_STEP) as f32;
-        if (capacity.value().is_some() || !mirrors)
+        if (capacity.learned().is_some() || !mirrors)
             && capacity.learn(1.0, drawn, (pair.depth, pair.depth_sd))
         {
             self.set_capacity(capacity);

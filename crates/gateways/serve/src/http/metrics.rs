@@ -546,6 +546,8 @@ mod tests {
             robot: 1,
             flags: u32::MAX,
             charge_rate: [100; CHARGE_TENTHS],
+            capacity_j: 1.0,
+            capacity_sd_j: 0.1,
             ..Budget::default()
         }]);
         let outlook =
