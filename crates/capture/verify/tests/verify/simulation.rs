@@ -217,6 +217,7 @@ impl Simulation {
             worker_epoch,
             tick,
             refused: self.fleet.refusals(),
+            platforms: self.fleet.platform_memories(),
             ..DiagnosticHeader::default()
         };
         let diagnostics = robots.clone().map(|place| self.fleet.diagnostic(place));
