@@ -59,7 +59,7 @@ impl PlatformMemory {
                 .to_owned();
         }
         let trained = "of what its model was trained on";
-        let is_known = self.robots >= Self::ENOUGH;
+        let is_known = (self.robots >= Self::ENOUGH) & (self.drawn > 0.0);
         if !is_known {
             let so_far = if self.drawn > 0.0 {
                 format!(" So far they draw {:.2} {trained}.", self.drawn)

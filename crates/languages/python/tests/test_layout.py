@@ -32,7 +32,7 @@ def struct(name: str) -> list[tuple[int, str, np.dtype]]:
         ("joulebus_sample", _native.SAMPLE, 13),
         ("joulebus_forecast", _native.FORECAST, 14),
         ("joulebus_diagnostic", _native.DIAGNOSTIC, 35),
-        ("joulebus_budget", _native.BUDGET, 29),
+        ("joulebus_budget", _native.BUDGET, 33),
         ("joulebus_outlook", _native.OUTLOOK, 16),
         ("joulebus_plan_state", _native.PLAN_STATE, 41),
         ("joulebus_answer_row", _native.ANSWER_ROW, 17),

@@ -489,11 +489,13 @@ def _data_frame(rows: np.ndarray) -> Any:
 
 
 def _columns(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Copies, one for each horizon of an outlook's energy: ``energy_j_10s``."""
+    """Copies, one for each horizon of an outlook's energy (``energy_j_10s``), or element (``charge_rate_0``)."""
     columns = {}
     for name, values in found.items():
         if values.ndim == 1:
             columns[name] = values.copy()
         else:
-            columns |= {f"{name}_{seconds:g}s": values[:, place].copy() for place, seconds in enumerate(OUTLOOK_S)}
+            horizons = [f"{seconds:g}s" for seconds in OUTLOOK_S]
+            of = horizons if values.shape[1] == len(horizons) else range(values.shape[1])
+            columns |= {f"{name}_{element}": values[:, place].copy() for place, element in enumerate(of)}
     return columns
