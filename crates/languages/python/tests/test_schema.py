@@ -53,7 +53,8 @@ def test_examples_of_the_documents_are_as_their_schema_says(schemas):
     for path in sorted((ROOT / "docs").rglob("*.md")):
         for block in re.findall(r"```toml\n(.*?)```", path.read_text(), re.S):
             document = tomllib.loads(block)
-            if "dependencies" in document:
+            # A mapping file of `import` has no schema.
+            if "dependencies" in document or "robot" in document:
                 continue
             # A part of a file: what is required may stand in another part.
             found = [
