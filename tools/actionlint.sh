@@ -26,6 +26,8 @@ const lint = await createLinter();
 let count = 0;
 for (const file of files) {
   for (const { line, column, message } of lint(readFileSync(file, "utf8"), file)) {
+    // This release of the package ends its list of runners with ubuntu-22.04.
+    if (message.startsWith('label "ubuntu-24.04" is unknown')) continue;
     console.error(`${file}:${line}:${column}: ${message}`);
     count += 1;
   }
