@@ -28,7 +28,6 @@ try {
   await sleep(RECORDED_MS);
   const pictures = [
     ["page.png", "/?robot=5", SHOWN, "light"],
-    ["page-dark.png", "/?robot=5", SHOWN, "dark"],
     ["page-phone.png", "/", PHONE, "dark"],
   ];
   for (const [file, view, viewport, colorScheme] of pictures) {
