@@ -54,7 +54,7 @@ const MOMENTS: usize = 48;
     the robot draws in addition towards the point and while it waits there. time_s: when it is \
     there. With times, speeds are upper limits, and a repeated point is a wait. The answer says if \
     the robot is more than a second late. charge_to, at the last point: the robot is then charged \
-    to this share, and the answer has the time by its earlier charges (not --through worker):\n\n    \
+    to this share, and the answer has the time by its earlier charges:\n\n    \
     x_m,y_m,speed_mps,dwell_s,load_w\n    0,0,,,\n    2,0,0.2,30,\n    2,1.5,0.1,,1.5\n\n\
     An order of VDA 5050 with its nodes and edges, or a nav_msgs/Path, as JSON, is a path file too. \
     The maxSpeed of an edge is its speed, but for a lower --speed. Stamps that differ are times.\n\n\
@@ -74,7 +74,7 @@ const MOMENTS: usize = 48;
     queue and no load on the worker, and a path may have any length. Robots that are not in the \
     fleet are named, and the others are answered. --through worker asks the worker, as programs in \
     other languages do, and needs no models here. The answer has the same bits, and captures \
-    record it. Then a path may take at most five minutes at 30 Hz.\n\
+    record it. Then a path may take at most an hour at 30 Hz.\n\
     Exit code 0: answered, whatever the verdict. 1: no worker, no answer in time, no such robot, \
     or another config or model than the worker's. 2: a wrong question, or a question that is too \
     large for the worker."

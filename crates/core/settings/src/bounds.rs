@@ -17,7 +17,7 @@ pub const MAX_SAMPLES_PER_TICK: RangeInclusive<u32> = 1..=1024;
 pub const MAX_SOURCES: RangeInclusive<u32> = 1..=1024;
 /// Frames of each source buffered in shared memory.
 pub const BUFFER_FRAMES: RangeInclusive<u32> = 2..=256;
-/// Planners, live views and recorders that can be connected at once.
+/// Planners and live views that can be connected at once. Recorders have places of their own.
 pub const MAX_PLANNERS: RangeInclusive<u32> = 1..=256;
 /// Nice value of the thread that answers questions.
 pub const NICE: RangeInclusive<u32> = 0..=19;

@@ -6,7 +6,7 @@
 use crate::declare::ZeroCopySend;
 use crate::{Alarm, rows};
 
-/// Maximum number of alarms that are acknowledged at once.
+/// Maximum number of acknowledgements at once: one row for each person and alarm.
 pub const MAX_ACKNOWLEDGED: usize = 128;
 /// Maximum number of persons who have acknowledged the same alarm, and are kept.
 pub const MAX_ACKNOWLEDGED_BY: usize = 4;

@@ -208,7 +208,7 @@ pub(crate) static OF_ROBOTS: [AlarmCard; Alarm::ALL.len()] = [
     AlarmCard {
         name: "DeadlineMissed",
         level: Level::Warn,
-        meaning: "The worker began the robot's tick too late.",
+        meaning: "The worker began the robot's tick too late, or computed it for longer than a period.",
         check: "The load of the host, sources that report late, `worker.priority` and `worker.cpus`. \
              `joulebus doctor` looks at the host.",
         keys: &["tick.deadline_ms", RAISE],

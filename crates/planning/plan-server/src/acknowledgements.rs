@@ -49,7 +49,10 @@ impl Table {
                 by.join(", ")
             )
         } else if self.rows.len() >= MAX_ACKNOWLEDGED {
-            format!("{MAX_ACKNOWLEDGED} alarms are acknowledged: no more are kept until some end")
+            format!(
+                "all {MAX_ACKNOWLEDGED} acknowledgements are taken, one for each person and alarm: no more are \
+                 kept until some alarms end"
+            )
         } else {
             self.rows.insert(end, row);
             return Ok(());
