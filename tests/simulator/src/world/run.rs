@@ -64,7 +64,7 @@ fn run_once(scenario: &Scenario, stop: &AtomicBool) -> (Outcome, Answers) {
     let text = scenario.setup.toml(LEDGER);
     let parsed = Config::parse(&text, Path::new("/"));
     let loaded = parsed.map_err(|error| error.to_string()).and_then(|config| {
-        let models = simulated_models::load_models(&config).map_err(|error| error.to_string())?;
+        let models = joulebus_models::load_models(&config).map_err(|error| error.to_string())?;
         Ok((config, models))
     });
     let (config, models) = match loaded {
