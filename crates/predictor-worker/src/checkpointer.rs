@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Background, Bus, Domain, JoinError, OpenError, Reader, Steps, clock};
 use joulebus_config::Config;
-use joulebus_standby::Places;
+use joulebus_connect::standby::Places;
 use joulebus_wire::{Budgets, Diagnostics, DropCounts, DropReason, Forecasts};
 
 use crate::checkpoint::{Checkpoint, SentErrors};

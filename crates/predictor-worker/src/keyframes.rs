@@ -10,9 +10,9 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
 use joulebus_bus::{Bus, Limits, OpenError, Writer, clock, process_id};
+use joulebus_connect::standby::SavedState;
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
-use joulebus_standby::SavedState;
 use joulebus_wire::{SCHEMA_VERSION, State, StateHeader, fnv1a};
 
 use crate::standby::watch::CurrentPermit;

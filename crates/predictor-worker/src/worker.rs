@@ -30,9 +30,9 @@ use crate::standby::backlog::Held;
 use crate::standby::follow::Following;
 use crate::standby::watch::{self, CurrentPermit, PermitOver};
 use crate::tick_pool::{TickPool, TickPoolError};
+use joulebus_connect::standby::{Permit, PermitError, Places, SavedState};
 use joulebus_latency::{Spread, histogram};
 use joulebus_models::{ModelsError, load_models};
-use joulebus_standby::{Permit, PermitError, Places, SavedState};
 
 /// Interval at which a standby worker checks its permit, ns.
 const PERMIT_EVERY_NS: u64 = watch::READ_EVERY.as_nanos() as u64;

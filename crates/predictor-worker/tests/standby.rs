@@ -10,8 +10,8 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
+use joulebus_connect::standby::{Permit, Places, SavedState};
 use joulebus_predictor_worker::{RunError, Worker};
-use joulebus_standby::{Permit, Places, SavedState};
 use joulebus_testkit::OnDrop;
 use joulebus_wire::{
     Budget, Budgets, Forecast, Forecasts, Quality, SCHEMA_VERSION, Sample, SampleHeader,

@@ -8,9 +8,9 @@ use joulebus_bus::{
     clock,
 };
 use joulebus_config::Config;
+use joulebus_connect::standby::{Permit, Places};
 use joulebus_consumer::{Event, Subscriber};
 use joulebus_models::load_models;
-use joulebus_standby::{Permit, Places};
 use rustix::fs::{Access, access, statfs};
 
 use super::{Check, Status};

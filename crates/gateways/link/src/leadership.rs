@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use joulebus_bus::clock;
-use joulebus_standby::{Permit, PermitError, Places};
+use joulebus_connect::standby::{Permit, PermitError, Places};
 
 /// Leadership of this host's worker, with the term. Shared by the threads.
 #[derive(Debug)]

@@ -8,9 +8,9 @@ use bytemuck::{bytes_of, cast_slice};
 use joulebus_bus::{Bus, Reader, Rounds, clock, process_id};
 use joulebus_config::Config;
 use joulebus_connect::join;
+use joulebus_connect::standby::SavedState;
 use joulebus_consumer::{Event, Feed, ReadError, Subscriber, WorkerState};
 use joulebus_files::disk;
-use joulebus_standby::SavedState;
 use joulebus_wire::{Channel, FrameHeader as _, FrameOrder, SCHEMA_VERSION, StateHeader, Ticks};
 
 use crate::egress::Egress;

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::{Domain, Rounds, WorkerLock, clock};
-use joulebus_standby::{Permit, SavedState};
+use joulebus_connect::standby::{Permit, SavedState};
 use joulebus_wire::StateHeader;
 
 use crate::config::Standby;

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use joulebus_bus::{Background, Rounds, WorkerLock};
 use joulebus_config::Config;
+use joulebus_connect::standby::{Permit, Places};
 use joulebus_plan_server::PlanServer;
-use joulebus_standby::{Permit, Places};
 
 use crate::config::{Settings, Side, Standby};
 use crate::follow::Following;

@@ -4,6 +4,7 @@
 pub mod findings;
 pub mod raises;
 pub mod refusals;
+pub mod standby;
 
 use joulebus_bus::{Bus, JoinError, OpenError};
 use joulebus_config::{Config, ConfigError};

@@ -8,9 +8,9 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::clock;
+use joulebus_connect::standby::Places;
 use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
-use joulebus_standby::Places;
 
 use super::backlog::{Backlog, Held};
 use super::restore::{Restored, newest, restore};
@@ -146,8 +146,8 @@ mod tests {
     use std::path::Path;
 
     use joulebus_config::Config;
+    use joulebus_connect::standby::SavedState;
     use joulebus_models::load_models;
-    use joulebus_standby::SavedState;
     use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader};
 
     use super::super::backlog::KEEP_NS;

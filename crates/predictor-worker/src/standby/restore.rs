@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use joulebus_connect::standby::{Places, SavedState};
 use joulebus_fleet::{Fleet, FleetState};
-use joulebus_standby::{Places, SavedState};
 
 /// The source of a worker's state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use joulebus_bus::{Background, Steps, clock};
-use joulebus_standby::{Permit, PermitError};
+use joulebus_connect::standby::{Permit, PermitError};
 
 pub(crate) const THREAD: &str = "joulebus-permit";
 /// Interval of reading the permit's file.

@@ -5,8 +5,8 @@ use std::sync::atomic::AtomicBool;
 
 use joulebus_config::Config;
 use simulated_bus as bus;
+use simulated_connect::standby::{Permit, Places};
 use simulated_host::{self as host, time};
-use simulated_standby::{Permit, Places};
 use simulated_worker::{RunError, Worker};
 
 /// Pid and time of taking the lock distinguish workers: for two with one pid the clock must go on.

@@ -12,7 +12,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_standby::{Places, SavedState};
+use joulebus_connect::standby::{Places, SavedState};
 use joulebus_testkit::{Child, certificates, eventually, free_port};
 use rustix::process::Signal;
 use serde_json::Value;

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_standby::{Permit, Places};
+use joulebus_connect::standby::{Permit, Places};
 use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use zenoh::Wait as _;

@@ -11,11 +11,11 @@ use joulebus_files::disk;
 /// host removes them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Places {
-    /// [`Permit`](crate::Permit) of this host's worker.
+    /// [`Permit`](super::Permit) of this host's worker.
     pub permit: PathBuf,
-    /// [`SavedState`](crate::SavedState) of this host's worker while it serves.
+    /// [`SavedState`](super::SavedState) of this host's worker while it serves.
     pub keyframe: PathBuf,
-    /// [`SavedState`](crate::SavedState) of the worker elsewhere that serves.
+    /// [`SavedState`](super::SavedState) of the worker elsewhere that serves.
     pub replica: PathBuf,
 }
 
