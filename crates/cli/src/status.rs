@@ -12,7 +12,7 @@ use joulebus_board::{Board, Link, Reading};
 use joulebus_bus::{
     Domain, OtherRoot, WorkerLock, clock, fleets_below, nodes, other_roots, own_roots,
 };
-use joulebus_config::Config;
+use joulebus_config::{Config, default_root};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
@@ -85,7 +85,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             }
         }
     }
-    let mut others = other_roots(&Domain::default_root());
+    let mut others = other_roots(&default_root());
     others.extend(domain.iter().flat_map(|domain| other_roots(domain.root())));
     others.sort_by_key(ToString::to_string);
     others.dedup();

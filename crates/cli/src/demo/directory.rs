@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::{Domain, inspect, sweep};
-use joulebus_config::{Config, Demo};
+use joulebus_config::{Config, Demo, default_root};
 use rustix::fs::{FlockOperation, flock};
 use serde::Serialize;
 
@@ -110,7 +110,7 @@ fn clear(domain: &Domain, root: &Path) {
 
 /// Common prefix of the directories of this user's demos.
 fn stem() -> String {
-    format!("{}-demo", Domain::default_root().display())
+    format!("{}-demo", default_root().display())
 }
 
 fn write_locked(path: &Path, text: &str) -> std::io::Result<File> {

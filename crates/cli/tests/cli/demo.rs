@@ -7,7 +7,7 @@ use std::process::Command;
 use std::time::Duration;
 
 use joulebus_bus::Domain;
-use joulebus_config::Demo as DemoConfig;
+use joulebus_config::{Demo as DemoConfig, default_root};
 use joulebus_testkit::{Child, end_signals, eventually, left_behind};
 use joulebus_wire::Samples;
 use rustix::fs::{FlockOperation, flock};
@@ -34,7 +34,7 @@ impl Run {
     }
 
     fn root(&self) -> PathBuf {
-        let root = Domain::default_root().display().to_string();
+        let root = default_root().display().to_string();
         PathBuf::from(format!("{root}-demo-{}", self.0.pid()))
     }
 

@@ -15,6 +15,8 @@ use crate::os::files::draft_number;
 
 /// Timeout of iceoryx2 for another process that is creating a service. After it, cleanup and retry.
 const CREATION_TIMEOUT_MS: u64 = 300;
+/// Name of the file in the directory of a fleet.
+const FILE: &str = "iceoryx2.toml";
 
 /// The iceoryx2 configuration of `domain`.
 ///
@@ -39,9 +41,14 @@ pub(crate) fn config_for(domain: &Domain) -> Result<Config, IceoryxConfigError> 
     Ok(config)
 }
 
+/// The domain's configuration as a file.
+fn config_file(domain: &Domain) -> PathBuf {
+    domain.directory().join(FILE)
+}
+
 /// Writes the domain's configuration as a file, for iceoryx2's own programs and packages.
 pub(crate) fn write_file(domain: &Domain) -> Result<(), IceoryxConfigError> {
-    let path = domain.config_file();
+    let path = config_file(domain);
     write(&path, &text(domain)).map_err(|source| IceoryxConfigError::Write { path, source })
 }
 
@@ -63,7 +70,7 @@ fn text(domain: &Domain) -> String {
 
 /// True if `path` is the domain's file, or a temporary one of it.
 pub(crate) fn is_config(domain: &Domain, path: &Path) -> bool {
-    let (config, name) = (domain.config_file(), path.to_string_lossy());
+    let (config, name) = (config_file(domain), path.to_string_lossy());
     let Some(rest) = name.strip_prefix(&*config.to_string_lossy()) else {
         return false;
     };
@@ -113,7 +120,7 @@ mod tests {
         let domain = Domain::new("lab", &root, "jbcfg_").unwrap();
         fs::create_dir_all(domain.directory()).unwrap();
         write_file(&domain).unwrap();
-        let path = domain.config_file();
+        let path = config_file(&domain);
         let path = FilePath::new(path.as_os_str().as_encoded_bytes()).unwrap();
         let read = Config::from_file(&path).unwrap();
         assert_eq!(read, config_for(&domain).unwrap());
@@ -125,7 +132,7 @@ mod tests {
         let place = format!("joulebus-iceoryx-config-{}", std::process::id());
         let directory = std::env::temp_dir().join(place);
         fs::create_dir_all(&directory).unwrap();
-        let path = directory.join("iceoryx2.toml");
+        let path = directory.join(FILE);
         let text = "key = 1\n".repeat(1_000);
         std::thread::scope(|scope| {
             for _ in 0..4 {
@@ -146,7 +153,7 @@ mod tests {
     fn only_the_file_and_its_drafts_are_identified_as_such() {
         let domain = Domain::new("fleet", Path::new("/dev/shm/somewhere"), "t_").unwrap();
         let name = |ending: &str| {
-            let path = domain.config_file();
+            let path = config_file(&domain);
             is_config(&domain, Path::new(&format!("{}{ending}", path.display())))
         };
         for ending in ["", ".7", ".71.0", ".71.12"] {

@@ -29,7 +29,7 @@ pub use directory::{prepare_domain, restrict_domain};
 pub use iceoryx_config::IceoryxConfigError;
 pub use iceoryx_log::trace_iceoryx2;
 pub use inspect::{InspectError, Inspection, NodeInfo, RootInfo, inspect, nodes};
-pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
+pub use joulebus_settings::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::presence::FilesRemoved;
 pub use liveness::worker_lock::{WorkerLock, WorkerLockError, WorkerOwner};

@@ -16,7 +16,7 @@ use crate::os::fork::ForkSection;
 use crate::os::process::is_alive;
 use crate::private::{check_own, check_private};
 use crate::{Domain, RootError, clock};
-use joulebus_domain::FLEET_MARKER;
+use joulebus_settings::FLEET_MARKER;
 
 pub(crate) const ROOT_MARKER: &str = ".joulebus";
 /// Prefix of every marker.

@@ -11,7 +11,7 @@ use crate::marker::ROOT_MARKER;
 use crate::os::files::effective_uid;
 use crate::private::check_private;
 use crate::{Domain, WorkerLock};
-use joulebus_domain::{FLEET_MARKER, SHM_DIR};
+use joulebus_settings::{FLEET_MARKER, SHM_DIR};
 
 /// A fleet without a worker on this host. Shown, it names the remedy.
 #[derive(Debug, Clone, PartialEq, Eq)]

@@ -11,7 +11,7 @@ use rustix::process::{Resource, getrlimit};
 
 use crate::Limits;
 use crate::os::memory::SHM_DIR;
-use joulebus_domain::ACTIVE_QUERIES;
+use joulebus_settings::ACTIVE_QUERIES;
 
 /// Header and padding of a frame in iceoryx2, upper bound.
 const FRAME_OVERHEAD: usize = 128;

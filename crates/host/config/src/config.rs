@@ -2,10 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use joulebus_domain::Scheduling;
 use joulebus_settings::{
     AlarmLimits, AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings,
-    OpenCircuit, Platform, Policy,
+    OpenCircuit, Platform, Policy, Scheduling,
 };
 
 use crate::consistency;

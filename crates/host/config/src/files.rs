@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 use crate::builtin;
 use crate::document::{FleetFile, Source};
 use crate::key::File;
+use crate::keys::DEFAULT_ROOT;
 use crate::model_source::ModelSource;
 use crate::problem::Problem;
 use crate::values::Values;
@@ -163,6 +164,12 @@ pub(crate) fn complaint(values: &Values, key: &str, what: String, remedy: String
         what,
         remedy,
     }
+}
+
+/// The root directory of a fleet whose file names none: `/dev/shm/joulebus-<uid>`.
+#[must_use]
+pub fn default_root() -> PathBuf {
+    root(DEFAULT_ROOT)
 }
 
 /// The root directory, with the uid substituted.

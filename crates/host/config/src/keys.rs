@@ -11,6 +11,9 @@ use crate::key::{
     Key, TextRule, ValueKind,
 };
 
+/// The root directory of a fleet whose file names none.
+pub(crate) const DEFAULT_ROOT: &str = "/dev/shm/joulebus-{uid}";
+
 pub(crate) const fn key(
     path: &'static str,
     kind: ValueKind,
@@ -49,7 +52,7 @@ pub const KEYS: &[Key] = &[
     key("fleet.capacity", int(bounds::CAPACITY), "robots", DefaultValue::Unset,
         "Maximum number of robots. Further ones are refused, counted and named. Some 100 kB of shared memory are reserved for each robot. Without it: the robots that the platforms list, up to 1000."),
 
-    key("domain.root", ValueKind::Text(TextRule::Root), "", DefaultValue::Text("/dev/shm/joulebus-{uid}"),
+    key("domain.root", ValueKind::Text(TextRule::Root), "", DefaultValue::Text(DEFAULT_ROOT),
         "Private directory that holds the fleet's shared memory. Keep it on a tmpfs."),
     key("domain.prefix", ValueKind::Text(TextRule::Prefix), "", DefaultValue::Text("jb_"),
         "Prefix of every name in shared memory. It distinguishes the fleet's files from others."),

@@ -1,6 +1,6 @@
 //! Location and size of the fleet's shared memory.
 
-use joulebus_domain::{Domain, DomainError, Limits};
+use joulebus_settings::{Domain, DomainError, Limits};
 
 use crate::Config;
 

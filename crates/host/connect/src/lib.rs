@@ -8,7 +8,7 @@ pub mod standby;
 
 use joulebus_bus::{Bus, JoinError, OpenError};
 use joulebus_config::{Config, ConfigError};
-use joulebus_domain::DomainError;
+use joulebus_settings::DomainError;
 
 /// Joins the fleet of `config` as `name`, 1 to 128 bytes.
 ///
@@ -47,8 +47,7 @@ pub mod error {
         RootError, SendError, SweepError, WaitError,
     };
     pub use joulebus_config::{BundleError, ConfigError, Problem};
-    pub use joulebus_domain::{DomainError, LimitsError};
-    pub use joulebus_settings::SettingsError;
+    pub use joulebus_settings::{DomainError, LimitsError, SettingsError};
 
     pub use crate::ConnectError;
 }

@@ -11,7 +11,7 @@ use std::io::{self, Read as _};
 use std::path::PathBuf;
 
 use joulebus_config::Config;
-use joulebus_domain::{DomainError, RAISES_FILE};
+use joulebus_settings::{DomainError, RAISES_FILE};
 use joulebus_wire::Alarm;
 
 /// Maximum size of a file that is read, bytes.

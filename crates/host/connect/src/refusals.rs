@@ -9,7 +9,7 @@ use std::{fmt, fs};
 
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_domain::{DomainError, REFUSALS_FILE};
+use joulebus_settings::{DomainError, REFUSALS_FILE};
 use joulebus_wire::DropReason;
 
 /// Maximum size of a file that is read, bytes.

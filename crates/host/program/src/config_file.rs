@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use joulebus_config::{Config, ConfigError, Demo, Domain};
+use joulebus_config::{Config, ConfigError, Demo, default_root};
 
 use crate::output::log_line;
 
@@ -48,7 +48,7 @@ impl ConfigFile {
         }
         let shipped = Demo {
             fleet: "lab".to_owned(),
-            root: Domain::default_root(),
+            root: default_root(),
             prefix: "jb_".to_owned(),
             robots: BUILTIN_ROBOTS,
         };

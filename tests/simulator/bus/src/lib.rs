@@ -25,7 +25,7 @@ pub use joulebus_bus::{
     ReceiveError, RootError, SchedulingError, SendError, Sent, SweepError, ThreadsApart, WaitError,
     Woken, WorkerLockError, schedule_process, schedule_thread,
 };
-pub use joulebus_domain::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
+pub use joulebus_settings::{Domain, DomainError, Limits, LimitsError, STANDBY_FILES, Scheduling};
 pub use liveness::peer_watch::PeerWatch;
 pub use liveness::worker_lock::WorkerLock;
 pub use ports::{

@@ -10,7 +10,7 @@ use super::claim::Claim;
 use crate::os::files::effective_uid;
 use crate::os::memory::SHM_DIR;
 use crate::{Domain, RootError, STANDBY_FILES};
-use joulebus_domain::{RAISES_FILE, REFUSALS_FILE};
+use joulebus_settings::{RAISES_FILE, REFUSALS_FILE};
 
 /// The directories that iceoryx2 creates in that of a fleet.
 pub(crate) const NODES: &str = "nodes";

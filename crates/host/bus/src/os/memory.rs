@@ -10,7 +10,7 @@ use rustix::io::{Errno, pwrite};
 use rustix::mm::{Advice, madvise};
 
 /// Directory of POSIX shared memory on Linux.
-pub(crate) use joulebus_domain::SHM_DIR;
+pub(crate) use joulebus_settings::SHM_DIR;
 /// Maximum size of a mapping populated while ticks run, bytes: takes a few milliseconds.
 const MAX_AT_ONCE: usize = 64 << 20;
 

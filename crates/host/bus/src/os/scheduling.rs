@@ -6,7 +6,7 @@ use std::fs;
 use std::io;
 use std::num::NonZeroU64;
 
-use joulebus_domain::Scheduling;
+use joulebus_settings::Scheduling;
 use rustix::mm::{MlockAllFlags, mlockall};
 use rustix::process::{Resource, getpriority_process, getrlimit, setpriority_process};
 use rustix::thread::{CapabilitySet, CpuSet, capabilities, sched_getaffinity, sched_setaffinity};

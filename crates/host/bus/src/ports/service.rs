@@ -32,7 +32,7 @@ use crate::os::fork::ForkSection;
 use crate::preflight::{PORT_BYTES, check_left};
 use crate::reserved::take_shortage;
 use crate::{Bus, CapacityError, FilesRemoved, Limits, SweepReport, clock};
-use joulebus_domain::ACTIVE_QUERIES;
+use joulebus_settings::ACTIVE_QUERIES;
 
 /// The attribute of a service with its limits.
 const LIMITS_KEY: &[u8] = b"joulebus.limits";

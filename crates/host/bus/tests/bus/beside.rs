@@ -279,7 +279,7 @@ fn iceoryx2_with_the_types_of_a_channel_reads_and_writes_its_frames() {
     let place = Place::new();
     let _lock = WorkerLock::acquire(&place.domain).unwrap();
     let bus = Bus::join(&place.domain, "worker").unwrap();
-    let file = place.domain.config_file();
+    let file = place.domain.directory().join("iceoryx2.toml");
     let file = FilePath::new(file.as_os_str().as_encoded_bytes()).unwrap();
     let config = Config::from_file(&file).unwrap();
     let node = NodeBuilder::new().config(&config).create::<ipc::Service>().unwrap();

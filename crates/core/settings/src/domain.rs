@@ -76,12 +76,6 @@ impl Domain {
         Ok(Self { fleet: fleet.to_owned(), prefix: prefix.to_owned(), shm_prefix, root })
     }
 
-    /// The default root: `/dev/shm/joulebus-<uid>`.
-    #[must_use]
-    pub fn default_root() -> PathBuf {
-        PathBuf::from(format!("{SHM_DIR}/joulebus-{}", rustix::process::geteuid().as_raw()))
-    }
-
     /// Name of the fleet.
     pub fn fleet(&self) -> &str {
         &self.fleet
@@ -110,11 +104,6 @@ impl Domain {
     /// The lock that every member holds shared.
     pub fn members_file(&self) -> PathBuf {
         self.directory().join(FLEET_MARKER)
-    }
-
-    /// The configuration of iceoryx2.
-    pub fn config_file(&self) -> PathBuf {
-        self.directory().join("iceoryx2.toml")
     }
 
     /// The lock of the worker.

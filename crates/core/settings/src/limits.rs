@@ -1,7 +1,8 @@
 //! Limits of a fleet's services, and the resulting size of each.
 
-use joulebus_settings::bounds;
 use joulebus_wire::{Flow, FrameRows};
+
+use crate::bounds;
 
 /// Limits of a fleet's services. Every process of the fleet must use the same: the first to open a
 /// service fixes them, and a later one that differs gets an error with both.
