@@ -8,7 +8,7 @@
 
 use joulebus_model_files::Plain;
 use joulebus_predictor::{Features, Kernel, Network, Tiling};
-use joulebus_testkit_networks::forged;
+use joulebus_testkit_fleets::forged;
 use safetensors::SafeTensors;
 
 /// More weights than any header of ours describes.

@@ -13,8 +13,8 @@ use joulebus_dataset::trial::{Column, Row, Trial};
 use joulebus_fleet::Fleet;
 use joulebus_predictor::FeatureSet;
 use joulebus_ros_messages::{RosError, TwistStamped, encode};
+use joulebus_testkit_fleets::random::network;
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
-use joulebus_testkit_networks::random::network;
 use joulebus_wire::{
     AnswerHeader, AnswerRow, QueryRecord, SampleHeader, Samples, answer_flag, push_record,
 };

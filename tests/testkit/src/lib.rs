@@ -1,6 +1,6 @@
 //! Shared by the tests of every crate: processes, ports, fleets, a counting allocator, recordings.
 //!
-//! Helpers that need a crate of joulebus are in `joulebus-testkit-networks` and `-fleets`.
+//! Helpers that need a crate of joulebus are in `joulebus-testkit-fleets`.
 #![allow(missing_docs)] // Used by tests alone.
 #![deny(unsafe_code)]
 

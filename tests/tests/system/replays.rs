@@ -8,7 +8,7 @@ use std::process::Command;
 use joulebus_capture_format::{Entry, Frame, Message, Reader};
 use joulebus_predictor::{FeatureSet, Network};
 use joulebus_testkit::assert_contains;
-use joulebus_testkit_networks::random;
+use joulebus_testkit_fleets::random;
 use joulebus_tests::{
     Arena, Child, Ended, ReaderLine, Setup, alone, eventually, program, script, spoilt,
     without_loss,

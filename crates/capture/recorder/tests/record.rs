@@ -19,7 +19,7 @@ use joulebus_capture_recorder::{
     Options, RecordedChannel, Recorder, Snapshot, StartError, Summary, Target, attach, host_clock,
 };
 use joulebus_config::Config;
-use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
+use joulebus_testkit_fleets::channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::{
     Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, FrameOrder, Outlooks, PlanStates,
     SCHEMA_VERSION, Sample, SampleHeader, Samples, TakenFrame, TickHeader, Ticks, tick_flag,

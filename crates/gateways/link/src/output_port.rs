@@ -111,7 +111,7 @@ pub(crate) enum PassError {
 mod tests {
     use bytemuck::{bytes_of, cast_slice};
     use joulebus_bus::{Domain, WorkerLock};
-    use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
+    use joulebus_testkit_fleets::channels::{Signal, SignalHeader, Signals};
     use joulebus_wire::SCHEMA_VERSION;
 
     use super::*;

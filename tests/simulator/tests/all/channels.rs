@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use joulebus_testkit_channels::{Signal, SignalHeader, Signals};
+use joulebus_testkit_fleets::channels::{Signal, SignalHeader, Signals};
 use joulebus_wire::SCHEMA_VERSION;
 use simulated_bus::{self as bus, Bus, Domain, Limits, WorkerLock, Writer};
 use simulated_host as host;

@@ -1,12 +1,18 @@
-//! A small fleet for tests: settings, models, sources, and outputs as bits.
+//! A small fleet for tests: settings, models, sources, and outputs as bits. Random networks, forged
+//! model files, and a channel.
 #![forbid(unsafe_code)]
+
+pub mod channels;
+#[allow(missing_docs)] // The names say it.
+pub mod forged;
+#[allow(missing_docs)]
+pub mod random;
 
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, Kernel, Model, Persistence, ResidualStats};
 use joulebus_settings::{
     AlarmSettings, Battery, FleetSettings, Intake, IntervalSettings, Platform,
 };
-pub use joulebus_testkit_networks::random;
 use joulebus_wire::{
     Budget, Diagnostic, Forecast, Outlook, PlanState, Quality, SCHEMA_VERSION, Sample, SampleHeader,
 };

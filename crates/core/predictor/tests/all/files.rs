@@ -2,9 +2,9 @@
 
 use joulebus_predictor::{Activation, FeatureSet, INPUTS, ModelError, Network};
 #[allow(dead_code)] // Each test file uses a part.
-use joulebus_testkit_networks::forged;
-use joulebus_testkit_networks::forged::{Contents, forged};
-use joulebus_testkit_networks::random::{Noise, card, network, parameters};
+use joulebus_testkit_fleets::forged;
+use joulebus_testkit_fleets::forged::{Contents, forged};
+use joulebus_testkit_fleets::random::{Noise, card, network, parameters};
 
 fn written(feature_set: FeatureSet) -> Vec<u8> {
     network(1, feature_set).to_safetensors().expect("valid networks can be written")

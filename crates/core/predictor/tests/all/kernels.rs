@@ -5,8 +5,8 @@ use joulebus_predictor::{
     ResidualStats, Tiling, features,
 };
 #[allow(dead_code)] // Each test file uses a part.
-use joulebus_testkit_networks::random;
-use joulebus_testkit_networks::random::{Noise, network, row};
+use joulebus_testkit_fleets::random;
+use joulebus_testkit_fleets::random::{Noise, network, row};
 use proptest::prelude::*;
 use std::path::Path;
 

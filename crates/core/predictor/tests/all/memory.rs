@@ -6,7 +6,7 @@ use joulebus_predictor::{
     Tiling,
 };
 #[allow(dead_code)] // Each test file uses a part.
-use joulebus_testkit_networks::random::{Noise, network, row};
+use joulebus_testkit_fleets::random::{Noise, network, row};
 
 /// Batch sizes that reach each tile and each tail of each kernel: all up to the widest tile and its
 /// tails, and longer ones. Under Miri only for the kernels of its target.

@@ -5,7 +5,7 @@ use joulebus_predictor::{
     ResidualStats, RolloutError, RolloutStart, Rollouts, features,
 };
 #[allow(dead_code)] // Each test file uses a part.
-use joulebus_testkit_networks::random::{Noise, network};
+use joulebus_testkit_fleets::random::{Noise, network};
 use proptest::prelude::*;
 
 const SETS: [FeatureSet; 4] = FeatureSet::ALL;

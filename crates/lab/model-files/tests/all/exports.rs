@@ -2,7 +2,7 @@
 
 use joulebus_model_files::{CHECK_ROWS, to_arrays, to_npz, to_onnx};
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
-use joulebus_testkit_networks::random;
+use joulebus_testkit_fleets::random;
 
 use crate::plain::activated;
 

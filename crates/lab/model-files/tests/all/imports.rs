@@ -7,7 +7,7 @@ use joulebus_dataset::trial::Trial;
 use joulebus_model_files::{ImportError, Plain};
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, LAGS, Network};
 use joulebus_testkit::assert_contains;
-use joulebus_testkit_networks::random::Noise;
+use joulebus_testkit_fleets::random::Noise;
 use safetensors::tensor::Dtype;
 
 use crate::plain::{Contents, Layers, evaluated, layers, trial};

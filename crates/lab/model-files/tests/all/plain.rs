@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use joulebus_dataset::trial::Trial;
 use joulebus_predictor::Activation;
-use joulebus_testkit_networks::random::Noise;
+use joulebus_testkit_fleets::random::Noise;
 use safetensors::tensor::{Dtype, TensorView};
 
 /// Weights, one row per output, and biases of each layer.

@@ -4,7 +4,7 @@ use std::process::Command;
 
 use joulebus_model_files::{ExportError, to_npz, to_python};
 use joulebus_predictor::{Activation, FeatureSet, LAGS, ModelCard, Network, features};
-use joulebus_testkit_networks::random;
+use joulebus_testkit_fleets::random;
 
 /// Largest difference to the network in single precision, W.
 const ALLOWED_W: f64 = 1e-5;

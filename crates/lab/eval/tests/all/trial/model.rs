@@ -5,7 +5,7 @@ use joulebus_predictor::{
     Persistence, ResidualStats, TrainingRange,
 };
 use joulebus_settings::{FleetSettings, Intake, Platform};
-use joulebus_testkit_networks::random::{self, Noise};
+use joulebus_testkit_fleets::random::{self, Noise};
 
 use crate::live;
 
