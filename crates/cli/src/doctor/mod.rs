@@ -20,7 +20,7 @@ use serde::Serialize;
     joulebus doctor --config configs/fleet.toml\n  \
     joulebus doctor --fix            removes files of dead processes, corrects directory modes\n  \
     joulebus doctor --format json\n  \
-    joulebus doctor run.mcap         checks captures instead: checksums, order, indexes, losses\n\n\
+    joulebus doctor run.mcap         checks captures instead: checksums, order, losses\n\n\
     Checks change nothing. --fix never touches what live processes use.")]
 pub(crate) struct Args {
     /// Captures to check, instead of the host

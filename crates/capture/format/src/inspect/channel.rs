@@ -123,10 +123,6 @@ impl Tally {
         }
     }
 
-    pub(super) const fn messages(&self) -> u64 {
-        self.messages
-    }
-
     pub(super) fn add(&mut self, header: &MessageHeader, place: RecordLocation) {
         if self.messages > 0 {
             self.add_step(header.log_time);

@@ -8,7 +8,7 @@ use crate::scan::RecordLocation;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
-    /// Valid but noteworthy: messages out of order, a missing index.
+    /// Valid but noteworthy: messages out of order or missing.
     Note,
     /// The file is corrupt, incomplete or inconsistent.
     Error,

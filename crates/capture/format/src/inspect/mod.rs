@@ -1,16 +1,15 @@
 //! Inspection and validation of MCAP files.
 //!
-//! One pass over the whole file in bounded memory: only one small entry for each chunk, attachment
-//! and metadata record grows with the file, for comparison with the indexes.
+//! One pass over the whole file in bounded memory. The checksums of chunks, of the data and of the
+//! summary cover every byte of our captures. Whether the indexes and the statistics of a file agree
+//! with its contents is checked by `mcap doctor`.
 
 mod channel;
-mod chunks;
 mod finding;
 mod records;
 mod report;
-mod summary;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::io::{Read, Seek};
 
 use mcap::records::{Record, op};
@@ -19,13 +18,9 @@ use crate::definitions::CHANNELS;
 use crate::scan::{ChunkFrame, Crc, Event, Raw, RecordLocation, Scan, ScanError};
 use channel::Tally;
 pub use channel::{ChannelReport, Sequence};
-use chunks::Chunks;
-pub use chunks::CompressionReport;
 pub use finding::{Finding, Severity};
-pub use records::{AttachmentReport, MetadataReport, SchemaReport};
+pub use records::{AttachmentReport, CompressionReport, MetadataReport, SchemaReport};
 pub use report::Inspection;
-pub use summary::StatisticsCheck;
-use summary::Summary;
 
 /// Maximum number of findings listed. Others are only counted.
 const MAX_LISTED_FINDINGS: usize = 200;
@@ -39,7 +34,8 @@ const MAX_LISTED_RECORDS: usize = 1000;
 /// findings.
 pub fn inspect(input: impl Read + Seek) -> Result<Inspection, ScanError> {
     let mut scan = Scan::new(input)?;
-    let mut inspector = Inspector::new(scan.file_bytes());
+    let mut inspector =
+        Inspector { file_bytes: scan.file_bytes(), complete: true, ..Inspector::default() };
     loop {
         match scan.next_event() {
             Ok(Some(event)) => inspector.take(event),
@@ -48,7 +44,6 @@ pub fn inspect(input: impl Read + Seek) -> Result<Inspection, ScanError> {
             Err(error) => {
                 inspector.complete = false;
                 inspector.error(Some(error.place()), error_words(&error));
-                inspector.chunk = None;
                 match scan.resume()? {
                     Some(skipped) => inspector.note_skipped(skipped.from, skipped.to),
                     None => break,
@@ -67,13 +62,15 @@ fn error_words(error: &ScanError) -> String {
 }
 
 /// The section of the file being read.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 enum Section {
+    #[default]
     Data,
     Summary,
     Ended,
 }
 
+#[derive(Default)]
 struct Inspector {
     file_bytes: u64,
     section: Section,
@@ -87,42 +84,17 @@ struct Inspector {
     last_log_ns: u64,
     out_of_order: u64,
     outside: u64,
-    chunk: Option<chunks::Open>,
-    chunks: Chunks,
+    chunks: BTreeMap<String, CompressionReport>,
+    attachment_count: u64,
     attachments: Vec<AttachmentReport>,
+    metadata_count: u64,
     metadata: Vec<MetadataReport>,
-    summary: Summary,
     errors: u64,
     notes: u64,
     findings: Vec<Finding>,
 }
 
 impl Inspector {
-    fn new(file_bytes: u64) -> Self {
-        Self {
-            file_bytes,
-            section: Section::Data,
-            complete: true,
-            header: None,
-            records: 0,
-            schemas: BTreeMap::new(),
-            channels: BTreeMap::new(),
-            messages: 0,
-            span_ns: None,
-            last_log_ns: 0,
-            out_of_order: 0,
-            outside: 0,
-            chunk: None,
-            chunks: Chunks::default(),
-            attachments: Vec::new(),
-            metadata: Vec::new(),
-            summary: Summary::default(),
-            errors: 0,
-            notes: 0,
-            findings: Vec::new(),
-        }
-    }
-
     fn find(&mut self, severity: Severity, place: Option<RecordLocation>, what: String) {
         match severity {
             Severity::Error => self.errors += 1,
@@ -150,11 +122,7 @@ impl Inspector {
     fn take(&mut self, event: Event<'_>) {
         match event {
             Event::Record(raw) => self.record(&raw),
-            Event::ChunkBegins(frame) => {
-                self.records += 1;
-                self.settle_indexes();
-                self.chunk = Some(chunks::Open::new(&frame));
-            }
+            Event::ChunkBegins(_) => self.records += 1,
             Event::ChunkEnds { frame, crc } => self.chunk_ends(&frame, crc),
             Event::TooLong { place, opcode, bytes } => {
                 let kind = crate::scan::kind_name(opcode);
@@ -172,20 +140,15 @@ impl Inspector {
             let what = format!("chunk: checksum {found:08x}, stored was {saved:08x}");
             self.error(Some(place), what);
         }
-        let Some(open) = self.chunk.take() else {
-            return;
-        };
-        if let Some(what) = open.wrong_span(frame) {
-            self.error(Some(place), what);
-        }
-        self.chunks.add(frame, open, crc.saved == 0);
-    }
-
-    /// The message indexes of a chunk follow it directly.
-    fn settle_indexes(&mut self) {
-        for (place, what) in self.chunks.settle() {
-            self.error(Some(place), what);
-        }
+        let header = &frame.header;
+        let report = self.chunks.entry(header.compression.clone()).or_insert_with(|| {
+            let compression = header.compression.clone();
+            CompressionReport { compression, ..CompressionReport::default() }
+        });
+        report.chunks += 1;
+        report.compressed_bytes += header.compressed_size;
+        report.uncompressed_bytes += header.uncompressed_size;
+        report.unchecked += u64::from(crc.saved == 0);
     }
 
     fn record(&mut self, raw: &Raw<'_>) {
@@ -193,14 +156,10 @@ impl Inspector {
         if self.section == Section::Data && self.records == 1 && raw.opcode != op::HEADER {
             self.error(Some(raw.place), "the first record is not a header");
         }
-        if raw.place.in_chunk.is_none() && raw.opcode != op::MESSAGE_INDEX {
-            self.settle_indexes();
-        }
         let record = match raw.parse() {
             Ok(record) => record,
             Err(error) => return self.error(Some(raw.place), error_words(&error)),
         };
-        let bytes = raw.body.len() as u64 + 9;
         match record {
             Record::Message { header, .. } => self.message(raw.place, &header),
             Record::Header(header) => self.header = Some((header.profile, header.library)),
@@ -215,13 +174,8 @@ impl Inspector {
                 },
             ),
             Record::Channel(channel) => self.channel(raw.place, channel),
-            Record::MessageIndex(index) => {
-                if let Some(what) = self.chunks.message_index(raw.place, bytes, &index) {
-                    self.error(Some(raw.place), what);
-                }
-            }
             Record::Attachment { header, data, .. } => {
-                self.summary.attachment(raw.place.offset, bytes, &header, data.len() as u64);
+                self.attachment_count += 1;
                 if self.attachments.len() < MAX_LISTED_RECORDS {
                     self.attachments.push(AttachmentReport {
                         name: header.name,
@@ -233,7 +187,7 @@ impl Inspector {
                 }
             }
             Record::Metadata(metadata) => {
-                self.summary.metadata(raw.place.offset, bytes, &metadata.name);
+                self.metadata_count += 1;
                 // They tell again what the report says of the channels.
                 let is_listed = metadata.name != CHANNELS;
                 if is_listed && self.metadata.len() < MAX_LISTED_RECORDS {
@@ -244,27 +198,30 @@ impl Inspector {
             Record::DataEnd(_) => {
                 self.check_crc(raw, "data section");
                 self.section = Section::Summary;
-                self.summary.begins(raw.place.offset + bytes);
             }
-            Record::Footer(footer) => {
+            Record::Footer(_) => {
                 self.check_crc(raw, "summary");
+                if self.section == Section::Data {
+                    self.error(Some(raw.place), "there is no end of data before the footer");
+                }
                 self.section = Section::Ended;
-                let wrong = self.summary.footer(raw.place.offset, footer);
-                wrong.into_iter().for_each(|what| self.error(Some(raw.place), what));
             }
             Record::Unknown { opcode, .. } => {
                 let what =
                     format!("a record of opcode {opcode:#04x}, which is not defined by the format");
                 self.note(Some(raw.place), what);
             }
+            Record::MessageIndex(_)
+            | Record::ChunkIndex(_)
+            | Record::AttachmentIndex(_)
+            | Record::MetadataIndex(_)
+            | Record::Statistics(_)
+            | Record::SummaryOffset(_) => {}
             other => {
-                if let Some(what) = self.summary.take(raw.place.offset, other, &mut self.chunks) {
-                    self.error(Some(raw.place), what);
-                }
+                let what =
+                    format!("a record of opcode {:#04x} is not allowed here", other.opcode());
+                self.error(Some(raw.place), what);
             }
-        }
-        if self.section != Section::Data {
-            self.summary.group(raw.opcode, raw.place.offset, bytes);
         }
     }
 
@@ -329,10 +286,7 @@ impl Inspector {
         self.last_log_ns = log_ns;
         let (start_ns, end_ns) = self.span_ns.unwrap_or((log_ns, log_ns));
         self.span_ns = Some((start_ns.min(log_ns), end_ns.max(log_ns)));
-        match (&mut self.chunk, place.in_chunk) {
-            (Some(chunk), Some(inner)) => chunk.message(header, inner),
-            _ => self.outside += 1,
-        }
+        self.outside += u64::from(place.in_chunk.is_none());
         match self.channels.get_mut(&header.channel_id) {
             Some(tally) => tally.add(header, place),
             None => {
@@ -346,18 +300,11 @@ impl Inspector {
     }
 
     fn finish(mut self) -> Inspection {
-        self.settle_indexes();
         if self.header.is_none() {
             self.error(None, "there is no header");
         }
         if self.section != Section::Ended {
             self.complete = false;
-        }
-        let counted = self.counted();
-        let used = self.used();
-        let (statistics, wrong) = self.summary.finish(&counted, used, &self.chunks, self.complete);
-        for (severity, what) in wrong {
-            self.find(severity, None, what);
         }
         if self.out_of_order > 0 {
             let what =
@@ -384,48 +331,17 @@ impl Inspector {
             end_ns: self.span_ns.map(|span| span.1),
             duration_s: self.span_ns.map(|(start, end)| (end - start) as f64 / 1e9),
             out_of_order: self.out_of_order,
-            chunks: self.chunks.report(),
+            chunks: self.chunks.into_values().collect(),
             messages_outside_chunks: self.outside,
             schemas: self.schemas.into_values().collect(),
             channels,
-            attachment_count: self.summary.attachments(),
+            attachment_count: self.attachment_count,
             attachments: self.attachments,
-            metadata_count: self.summary.metadata_records(),
+            metadata_count: self.metadata_count,
             metadata: self.metadata,
-            statistics,
             errors: self.errors,
             notes: self.notes,
             findings: self.findings,
-        }
-    }
-
-    /// Schemas and channels used by messages.
-    fn used(&self) -> (u16, u32) {
-        let used = || self.channels.values().filter(|tally| tally.messages() > 0);
-        let schemas: BTreeSet<u16> =
-            used().map(|tally| tally.channel.schema_id).filter(|id| *id != 0).collect();
-        let schemas = u16::try_from(schemas.len()).unwrap_or(u16::MAX);
-        (schemas, u32::try_from(used().count()).unwrap_or(u32::MAX))
-    }
-
-    fn counted(&self) -> mcap::records::Statistics {
-        let (start, end) = self.span_ns.unwrap_or_default();
-        let small = |count: u64| u32::try_from(count).unwrap_or(u32::MAX);
-        mcap::records::Statistics {
-            message_count: self.messages,
-            schema_count: u16::try_from(self.schemas.len()).unwrap_or(u16::MAX),
-            channel_count: small(self.channels.len() as u64),
-            attachment_count: small(self.summary.attachments()),
-            metadata_count: small(self.summary.metadata_records()),
-            chunk_count: small(self.chunks.count()),
-            message_start_time: start,
-            message_end_time: end,
-            channel_message_counts: self
-                .channels
-                .iter()
-                .filter(|(_, tally)| tally.messages() > 0)
-                .map(|(id, tally)| (*id, tally.messages()))
-                .collect(),
         }
     }
 }

@@ -1,8 +1,23 @@
-//! Schemas, attachments and metadata records of a file.
+//! Chunks, schemas, attachments and metadata records of a file.
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
+
+/// The chunks of one compression.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct CompressionReport {
+    /// `zstd`, `lz4`, or empty.
+    pub compression: String,
+    /// Number of chunks.
+    pub chunks: u64,
+    /// Size of their records in the file, bytes.
+    pub compressed_bytes: u64,
+    /// Size of their records decompressed, bytes.
+    pub uncompressed_bytes: u64,
+    /// Chunks without a checksum.
+    pub unchecked: u64,
+}
 
 /// A schema of the file.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]

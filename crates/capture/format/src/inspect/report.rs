@@ -5,10 +5,8 @@ use std::fmt;
 use serde::Serialize;
 
 use super::channel::{ChannelReport, Sequence};
-use super::chunks::CompressionReport;
 use super::finding::{Finding, Severity};
-use super::records::{AttachmentReport, MetadataReport, SchemaReport};
-use super::summary::StatisticsCheck;
+use super::records::{AttachmentReport, CompressionReport, MetadataReport, SchemaReport};
 
 /// Contents of a file.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -47,8 +45,6 @@ pub struct Inspection {
     pub metadata_count: u64,
     /// The first metadata records.
     pub metadata: Vec<MetadataReport>,
-    /// Result of checking the statistics in the file.
-    pub statistics: StatisticsCheck,
     /// Number of errors.
     pub errors: u64,
     /// Number of notes.
@@ -82,14 +78,6 @@ impl fmt::Display for Inspection {
         self.write_head(out)?;
         self.write_channels(out)?;
         self.write_records(out)?;
-        let statistics = match &self.statistics {
-            StatisticsCheck::Missing => "the file has none".to_owned(),
-            StatisticsCheck::Agree => "agree with what was counted".to_owned(),
-            StatisticsCheck::Differ { differences } => {
-                format!("DIFFER: {}", differences.join(", "))
-            }
-        };
-        writeln!(out, "statistics   {statistics}")?;
         let s = |count: u64| if count == 1 { "" } else { "s" };
         let (errors, notes) = (self.errors, self.notes);
         writeln!(out, "findings     {errors} error{}, {notes} note{}", s(errors), s(notes))

@@ -3,7 +3,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use joulebus_capture_format::inspect::{Sequence, Severity, StatisticsCheck, inspect};
+use joulebus_capture_format::inspect::{Sequence, inspect};
 use joulebus_testkit::recordings::shared;
 
 fn files(folder: &Path) -> Vec<PathBuf> {
@@ -34,7 +34,7 @@ fn conformance_files_have_no_errors() {
 }
 
 #[test]
-fn real_recordings_are_counted_and_inconsistencies_named() {
+fn real_recordings_are_counted() {
     let Some(folder) = shared("mcap/couguv") else {
         return;
     };
@@ -42,8 +42,6 @@ fn real_recordings_are_counted_and_inconsistencies_named() {
     assert!(found.is_sound() && found.complete);
     assert_eq!((found.messages, found.channels.len()), (18_558, 33));
     assert_eq!(found.chunks[0].chunks, 5);
-    assert_eq!(found.statistics, StatisticsCheck::Agree);
-    assert!(found.findings[0].what.contains("without messages"), "{:?}", found.findings);
     let battery = found.channels.iter().find(|channel| channel.topic == "/coug2/battery/data");
     let battery = battery.unwrap();
     assert_eq!(battery.messages, 2628);
@@ -60,12 +58,7 @@ fn every_rosbag2_corner_case_is_read_to_its_end() {
     assert_eq!(files.len(), 20);
     for file in files {
         let found = inspect(File::open(&file).unwrap()).unwrap();
-        assert!(found.complete && found.messages > 0, "{}", file.display());
-        // The writer of two of them interprets a first time of 0 as none.
-        let is_known = found.findings.iter().all(|finding| {
-            finding.severity == Severity::Note
-                || finding.what.contains("first log time: 1000000 stated, 0 found")
-        });
-        assert!(is_known, "{}: {:?}", file.display(), found.findings);
+        let is_read = found.complete && found.is_sound() && found.messages > 0;
+        assert!(is_read, "{}: {:?}", file.display(), found.findings);
     }
 }
