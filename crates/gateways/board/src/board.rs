@@ -24,9 +24,10 @@ const MAX_RUNS: usize = 1_024;
 const RAISED_ROBOTS: usize = 16_384;
 
 /// State of the worker.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Link {
     /// No frame received yet.
+    #[default]
     Waiting,
     /// Frames arrive.
     Live,
@@ -113,7 +114,7 @@ pub struct Newest {
 }
 
 /// The state of one robot.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Row {
     /// The newest forecast.
     pub forecast: Forecast,
@@ -134,7 +135,7 @@ pub struct Row {
 }
 
 /// All data of the views. Pure: time is an argument.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub struct Board {
     began_ns: u64,
     /// State of the worker, for people.
@@ -191,29 +192,7 @@ impl Board {
     /// An empty board. Times are relative to `now_ns` (monotonic).
     #[must_use]
     pub fn new(now_ns: u64) -> Self {
-        Self {
-            began_ns: now_ns,
-            link: Link::Waiting,
-            is_reliable: false,
-            rows: BTreeMap::new(),
-            outlooks: HashMap::new(),
-            raised: BTreeMap::new(),
-            raises: HashMap::new(),
-            runs: Vec::new(),
-            merged_runs: 0,
-            stages: Stages::new(),
-            recent_us: VecDeque::new(),
-            sent: BTreeMap::new(),
-            frames: 0,
-            frames_missed: 0,
-            queries: None,
-            refusals: Refusals::default(),
-            notes: VecDeque::new(),
-            platforms: Vec::new(),
-            memories: None,
-            pooled: Pooled::default(),
-            ahead: Ahead::default(),
-        }
+        Self { began_ns: now_ns, ..Self::default() }
     }
 
     /// Seconds since the start.
@@ -543,16 +522,7 @@ impl Newest {
 
 impl Row {
     fn new(forecast: Forecast, frame: u64) -> Self {
-        Self {
-            forecast,
-            diagnostic: None,
-            budget: None,
-            point: None,
-            track: VecDeque::new(),
-            residual_w: None,
-            acknowledged: AlarmSet::default(),
-            frame,
-        }
+        Self { forecast, frame, ..Self::default() }
     }
 
     /// The newest rows.

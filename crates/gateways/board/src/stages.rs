@@ -44,14 +44,6 @@ pub struct Stages {
 
 impl Default for Stages {
     fn default() -> Self {
-        Self::new()
-    }
-}
-
-impl Stages {
-    /// Empty distributions.
-    #[must_use]
-    pub fn new() -> Self {
         let empty = histogram();
         Self {
             total: empty.clone(),
@@ -60,7 +52,9 @@ impl Stages {
             compute_counted: Counted::default(),
         }
     }
+}
 
+impl Stages {
     /// Adds a frame that became readable at `readable_ns` (monotonic). Returns the total latency
     /// from the first sample sent, ns, or `None` if the frame answers no sample.
     pub fn observe(&mut self, header: &ForecastHeader, readable_ns: u64) -> Option<u64> {
@@ -168,7 +162,7 @@ mod tests {
 
     #[test]
     fn stages_add_up_to_the_total_and_frames_without_samples_are_excluded() {
-        let mut stages = Stages::new();
+        let mut stages = Stages::default();
         let header = ForecastHeader {
             first_sent_ns: 1_000,
             first_taken_ns: 9_000,

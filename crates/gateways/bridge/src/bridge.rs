@@ -40,7 +40,7 @@ use crate::usual;
 const POLL_INTERVAL: Duration = Duration::from_millis(20);
 
 /// The report of a bridge that has ended.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct BridgeReport {
     fleet: String,
     bridge: String,
@@ -471,18 +471,7 @@ mod tests {
             (unheard, 1, 0, Outcome::Incomplete),
             (unheard, 0, 1, Outcome::Incomplete),
         ] {
-            let report = BridgeReport {
-                fleet: String::new(),
-                bridge: String::new(),
-                robots: 0,
-                messages: 0,
-                observations: 0,
-                published,
-                written: 0,
-                not_written,
-                unmapped: Vec::new(),
-                implausible: Vec::new(),
-            };
+            let report = BridgeReport { published, not_written, ..BridgeReport::default() };
             assert_eq!(report.outcome(unmapped), outcome, "{report:?}");
         }
     }

@@ -176,7 +176,7 @@ impl LocalWorker {
 }
 
 /// One candidate's view of the election.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Candidate {
     name: String,
     /// Position in the list of candidates. The first one takes a free lease first.
@@ -220,15 +220,8 @@ impl Candidate {
                 until_ns: leader_lease.until_ns,
             }),
             term: leader_lease.map(|leader_lease| leader_lease.term),
-            resigns: false,
-            released: None,
             is_able: true,
-            is_idle: false,
-            highest_term: 0,
-            free_since_ns: None,
-            view: StoreView::default(),
-            look_ns: 0,
-            renew_ns: 0,
+            ..Self::default()
         }
     }
 

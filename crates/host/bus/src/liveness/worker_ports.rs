@@ -18,7 +18,7 @@ const LOOKUP_PERIOD_NS: u64 = 10_000_000;
 const LOOKUPS_PER_PERIOD: u32 = 8;
 
 /// Distinguishes the worker's ports from those of other processes.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct WorkerPorts {
     lock_file: PathBuf,
     port: Option<u128>,
@@ -34,16 +34,7 @@ pub(crate) struct WorkerPorts {
 
 impl WorkerPorts {
     pub(crate) fn new(domain: &Domain) -> Self {
-        Self {
-            lock_file: domain.worker_file(),
-            port: None,
-            owner: None,
-            runs: 0,
-            holder: None,
-            lookups: 0,
-            period_end_ns: 0,
-            foreign: 0,
-        }
+        Self { lock_file: domain.worker_file(), ..Self::default() }
     }
 
     /// True if a frame from `port` is the worker's. May read the lock file if the port is not the
