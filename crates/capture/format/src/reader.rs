@@ -305,7 +305,7 @@ pub enum ReadError {
     /// are valid.
     #[error(
         "the capture ends after {bytes} bytes without its last records. `joulebus recover` makes \
-            it whole"
+         it whole"
     )]
     Truncated { bytes: u64 },
     /// The file is of another program.

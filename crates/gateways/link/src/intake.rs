@@ -87,7 +87,7 @@ impl Intake {
         if let Some(robot) = foreign.filter(|_| reported.insert(Arc::clone(from))) {
             tracing::warn!(
                 "{from} sends samples of robot {robot}, which is not among its `robots` in \
-                    this link's file: these samples are left out"
+                 this link's file: these samples are left out"
             );
         }
         ended

@@ -223,7 +223,7 @@ impl fmt::Display for LinkReport {
             writeln!(
                 out,
                 "received {} frames, {} bytes from {}; {} lost, {} left out there, {} repeated, {} \
-                    runs, {} silences",
+                 runs, {} silences",
                 received.frames,
                 received.bytes,
                 taken.from,

@@ -502,7 +502,7 @@ fn access(fleet: &str, name: &str, peers: &Peers<'_>) -> serde_json::Value {
 pub(crate) enum NetworkError {
     #[error(
         "cannot open the network (listen {listen:?}, connect {connect:?}): {reason}. Are the \
-            addresses this host's, and free?"
+         addresses this host's, and free?"
     )]
     Open { listen: Vec<String>, connect: Vec<String>, reason: String },
     #[error("zenoh refuses {key}: {reason}")]

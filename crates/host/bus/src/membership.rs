@@ -180,7 +180,7 @@ pub enum JoinError {
     /// Another process has held the members' lock exclusively for too long.
     #[error(
         "{path:?} has been locked for {waited_s} s by a process that cleans up. Is one stopped? \
-            Run `joulebus doctor --fix`"
+         Run `joulebus doctor --fix`"
     )]
     Timeout { path: PathBuf, waited_s: u64 },
     /// An object with the domain's prefix belongs to another user.

@@ -298,7 +298,7 @@ pub enum CapacityError {
     /// Too few file descriptors.
     #[error(
         "file descriptors: {needed} needed ({used} of them in use), {limit} allowed. Raise the \
-            limit (`ulimit -n {needed}`)"
+         limit (`ulimit -n {needed}`)"
     )]
     Descriptors { needed: u64, used: u64, limit: u64 },
     /// Too few files can be created in shared memory, although bytes are free.

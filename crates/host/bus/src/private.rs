@@ -71,13 +71,13 @@ pub enum RootError {
     /// The path is a mount point.
     #[error(
         "{path:?} is a mount point, which joulebus did not make. Unmount it, or set another \
-            `domain.root`"
+         `domain.root`"
     )]
     MountPoint { path: PathBuf },
     /// The parent directory does not exist.
     #[error(
         "{path:?} cannot be made, because {parent:?} does not exist. Make it, or set another \
-            `domain.root`"
+         `domain.root`"
     )]
     NoParent { path: PathBuf, parent: PathBuf },
     /// The system call failed.

@@ -85,7 +85,7 @@ pub(crate) fn number_in_text(key: &Key, text: &str) -> Option<String> {
     }
     Some(format!(
         "{text} is {converted} {unit}: write {converted}, without quotes. The unit is always \
-            {unit}",
+         {unit}",
         unit = key.unit
     ))
 }

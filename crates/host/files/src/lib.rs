@@ -31,7 +31,7 @@ pub enum Refused {
     /// The path has a file that no program of joulebus has written.
     #[error(
         "begins with {found:?}, which is not what would be written there, and is not overwritten. \
-            Move it away, or name another file"
+         Move it away, or name another file"
     )]
     Foreign { found: String },
     /// The file is longer than the limit.

@@ -11,7 +11,7 @@ create_exception!(
     Error,
     PyException,
     "Base of the package's exceptions. The message says what was found, what is allowed and what \
-        to do."
+     to do."
 );
 create_exception!(
     joulebus,
@@ -51,7 +51,7 @@ pub(crate) fn of_read(error: &joulebus_consumer::ReadError) -> String {
     match error {
         joulebus_consumer::ReadError::Schema { .. } => format!(
             "{error}. This package is joulebus {}: `joulebus --version` on the worker's side says \
-                which release to install",
+             which release to install",
             env!("CARGO_PKG_VERSION")
         ),
         _ => error.to_string(),

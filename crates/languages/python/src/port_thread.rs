@@ -74,7 +74,7 @@ impl<S: 'static> PortThread<S> {
         }
         Err(PyRuntimeError::new_err(format!(
             "used in process {found}, which was forked from {allowed}: its ports belong to \
-                process {allowed}. Connect anew after a fork, or start processes by `spawn`"
+             process {allowed}. Connect anew after a fork, or start processes by `spawn`"
         )))
     }
 

@@ -79,7 +79,7 @@ impl Predictor {
         if model.needs_freshness() {
             return Err(ModelError::new_err(
                 "the network reads the age of readings, which a rollout is not told. Train one \
-                    without: `joulebus train … --features full`",
+                 without: `joulebus train … --features full`",
             ));
         }
         let (v, omega) = (Numbers::read("v", v)?, Numbers::read("omega", omega)?);

@@ -238,7 +238,7 @@ impl Ledger {
         let (start, end) = (frame.header.message_start_time, frame.header.message_end_time);
         let what = format!(
             "chunk: its checksum is wrong, and its {suspect} messages, log time {start} to {end} \
-                ns, are suspect"
+             ns, are suspect"
         );
         let place = RecordLocation { offset: frame.offset, in_chunk: None };
         self.troubles.add(place, what);

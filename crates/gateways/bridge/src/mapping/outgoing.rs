@@ -38,19 +38,19 @@ impl What {
         let names = match self {
             Self::Forecast => {
                 "robot name quality stamp_unix_ns target_unix_ns reading_w reading_age_s \
-                    power_w lo_w hi_w residual_w"
+                 power_w lo_w hi_w residual_w"
             }
             Self::Budget => {
                 "robot name stamp_unix_ns drawn_j metered_s unmetered_s mean_power_w soc \
-                    soc_lo soc_hi charging usable_j usable_lo_j time_to_empty_s \
-                    time_to_empty_lo_s time_to_empty_hi_s capacity_j capacity_sd_j time_to_80_s \
-                    time_to_full_s"
+                 soc_lo soc_hi charging usable_j usable_lo_j time_to_empty_s \
+                 time_to_empty_lo_s time_to_empty_hi_s capacity_j capacity_sd_j time_to_80_s \
+                 time_to_full_s"
             }
             Self::Outlook => {
                 "robot name stamp_unix_ns energy_1s_j energy_1s_lo_j energy_1s_hi_j \
-                    energy_10s_j energy_10s_lo_j energy_10s_hi_j energy_60s_j energy_60s_lo_j \
-                    energy_60s_hi_j energy_300s_j energy_300s_lo_j energy_300s_hi_j usable_j \
-                    time_to_empty_s time_to_empty_lo_s time_to_empty_hi_s"
+                 energy_10s_j energy_10s_lo_j energy_10s_hi_j energy_60s_j energy_60s_lo_j \
+                 energy_60s_hi_j energy_300s_j energy_300s_lo_j energy_300s_hi_j usable_j \
+                 time_to_empty_s time_to_empty_lo_s time_to_empty_hi_s"
             }
             Self::Alarms => "robot name level alarms",
             Self::AlarmChanges | Self::Status => "",
@@ -78,8 +78,8 @@ const VALUES: [(Quantity, &str); 15] = [
     (
         Quantity::Energy,
         "energy_1s_j energy_1s_lo_j energy_1s_hi_j energy_10s_j energy_10s_lo_j \
-            energy_10s_hi_j energy_60s_j energy_60s_lo_j energy_60s_hi_j energy_300s_j \
-            energy_300s_lo_j energy_300s_hi_j",
+         energy_10s_hi_j energy_60s_j energy_60s_lo_j energy_60s_hi_j energy_300s_j \
+         energy_300s_lo_j energy_300s_hi_j",
     ),
 ];
 

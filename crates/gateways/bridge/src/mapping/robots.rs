@@ -16,7 +16,7 @@ pub(crate) enum RobotsError {
     TwoNames { robot: u32, first: String },
     #[error(
         "has {found:?}, allowed are an id (7), or with {{id}} in the name a range (\"0-19\") of \
-            at most {MAX_RANGE}"
+         at most {MAX_RANGE}"
     )]
     Ids { found: String },
 }

@@ -22,7 +22,7 @@ pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(50);
 pub(crate) enum Ros2Error {
     #[error(
         "cannot take part in ROS domain {domain_id}: {source}. Another process may have its ports, \
-            7400 + 250 × domain and on. `ulimit -Hn` limits the topics, three descriptors each"
+         7400 + 250 × domain and on. `ulimit -Hn` limits the topics, three descriptors each"
     )]
     Join { domain_id: u16, source: CreateError },
     #[error(

@@ -78,7 +78,7 @@ fn endpoint(text: &str, unencrypted: bool) -> Result<(), &'static str> {
         "http" if is_loopback(host) || unencrypted => Ok(()),
         "http" => Err(
             "Use https://. `unencrypted = true` in [network] allows every host of the network to \
-                take the lease",
+             take the lease",
         ),
         _ => Err(form),
     }

@@ -107,7 +107,7 @@ fn address(text: &str, has_tls: bool, unencrypted: bool) -> Result<(), &'static 
         "tcp" if is_loopback(host) || unencrypted => Ok(()),
         "tcp" => Err(
             "Use \"tls/…\". `unencrypted = true` in [network] allows every host of the network to \
-                read and to forge",
+             read and to forge",
         ),
         _ => Err(form),
     }

@@ -243,7 +243,7 @@ pub(crate) enum FrameError {
     Length { found: usize, allowed: usize },
     #[error(
         "a frame of schema version {found}, allowed is {SCHEMA_VERSION}. Use one release on all \
-            hosts"
+         hosts"
     )]
     Schema { found: u32 },
 }

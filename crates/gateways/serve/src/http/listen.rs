@@ -133,7 +133,7 @@ fn remove_stale(path: &Path) -> anyhow::Result<()> {
         Err(error) if error.kind() == io::ErrorKind::ConnectionRefused => {}
         Err(error) => bail!(
             "cannot listen at {shown}: there is a socket that is not ours ({error}). Name another \
-                file"
+             file"
         ),
     }
     fs::remove_file(path).with_context(|| format!("cannot listen at {shown}"))
@@ -177,7 +177,7 @@ impl SocketLock {
             if !mark(&mut file).with_context(failed)? {
                 bail!(
                     "cannot lock {}: there is something else than our lock. Move it away, or name \
-                        another socket",
+                     another socket",
                     path.display()
                 );
             }

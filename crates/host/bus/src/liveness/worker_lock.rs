@@ -365,7 +365,7 @@ pub enum WorkerLockError {
     /// The file is not a lock file.
     #[error(
         "{path:?} is not a lock file of joulebus: it is a link, a special file, or holds \
-            something else. It is left as it is. Move it away, or set another `domain.root`"
+         something else. It is left as it is. Move it away, or set another `domain.root`"
     )]
     NotALock { path: PathBuf },
     /// Too little shared memory.
@@ -398,7 +398,7 @@ fn remedy(owner: WorkerOwner, path: &Path) -> String {
         Some(pid) => format!(", pid {pid}. Stop it first (`kill {pid}`)"),
         None => format!(
             " whose process is not visible here (it holds {}. Is it in another container?). Stop \
-                it first",
+             it first",
             path.display()
         ),
     }

@@ -122,7 +122,7 @@ pub enum SchedulingError {
     /// The CPU does not exist or is not allowed for this process.
     #[error(
         "the tick's thread cannot stay on CPU {cpu} ({source}): this process may use {allowed:?}. \
-            Change `worker.cpus`, or the cpuset or `taskset` that the worker was started with"
+         Change `worker.cpus`, or the cpuset or `taskset` that the worker was started with"
     )]
     Cpu { cpu: usize, allowed: Vec<usize>, source: io::Error },
     /// Real-time priority was refused.

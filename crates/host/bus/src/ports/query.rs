@@ -501,7 +501,7 @@ pub enum QueryError {
     /// The worker has not taken an earlier question that was given up.
     #[error(
         "the worker has not yet taken the previous question, which this client gave up. It is \
-            overloaded, or stopped"
+         overloaded, or stopped"
     )]
     Full,
     /// No answer before the deadline.
