@@ -13,8 +13,8 @@ use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, PERIOD_NS};
 use joulebus_wire::{
     AnswerHeader, Budgets, Channel, Diagnostics, Forecast, ForecastHeader, Forecasts,
-    MAX_QUERY_STEPS, Outlooks, PlanStates, QueryRecord, QueryRefusal, Row, SCHEMA_VERSION, Sample,
-    Samples, State, Statement, Ticks, answer_flag, fnv1a,
+    MAX_QUERY_STEPS, PlanStates, QueryRecord, QueryRefusal, SCHEMA_VERSION, Sample, Samples, State,
+    Statement, Ticks, answer_flag, fnv1a,
 };
 use proptest::prelude::*;
 
@@ -203,40 +203,6 @@ fn frames_that_repeat_the_number_of_another_one_are_named_and_never_reported_as_
     // The same bits twice: whichever it took.
     let same = with(&|_| {}, at);
     assert_eq!((same.differences, same.ticks_unverified), (0, 0), "{same}");
-}
-
-/// Each field of each payload, one at a time: found with its tick, robot and name.
-struct Flips(Vec<Message>);
-
-impl Flips {
-    fn all<C: Channel>(&self, row: &str) {
-        let is_it = |message: &Message| message.frame::<C>().is_some() && tick_of(message) == 65;
-        let place = self.0.iter().position(is_it).unwrap();
-        for field in C::Row::LAYOUT.fields {
-            let mut spoilt = self.0.clone();
-            let frame = spoilt[place].frame_mut::<C>().unwrap();
-            let robot = C::robot(&frame.rows[5]);
-            bytemuck::bytes_of_mut(&mut frame.rows[5])[field.offset] ^= 1;
-            let (name, report) = (format!("{row}.{}", field.name), verify(entries(spoilt)));
-            let first = report.first.clone();
-            let first = first.unwrap_or_else(|| panic!("{name} was not found"));
-            assert_eq!((first.tick, first.robot, first.field), (65, robot, name.clone()));
-            assert_ne!(first.recorded, first.computed, "{name}");
-            let counts = (report.differences, report.ticks_verified);
-            assert_eq!(counts, (1, 90), "{name}: {report}");
-            assert!(!report.is_clean(), "{name}");
-        }
-    }
-}
-
-#[test]
-fn a_flipped_bit_in_any_output_is_named() {
-    let flips = Flips(recorded(4, 90));
-    flips.all::<Forecasts>("forecast");
-    flips.all::<Diagnostics>("diagnostic");
-    flips.all::<Budgets>("budget");
-    flips.all::<PlanStates>("plan_state");
-    flips.all::<Outlooks>("outlook");
 }
 
 #[test]

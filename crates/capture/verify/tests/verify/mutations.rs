@@ -990,6 +990,7 @@ fn flip_fields<C: Channel>(messages: &Messages, place: usize, row: usize, wrong:
         if report.verdict != expected {
             wrong.push(format!("{}.{what}: expected {expected}, found {report}", C::MESSAGE));
         }
+        report
     };
     for field in C::Header::LAYOUT.fields {
         let mut mutated = messages.clone();
@@ -1000,15 +1001,24 @@ fn flip_fields<C: Channel>(messages: &Messages, place: usize, row: usize, wrong:
     for field in C::Row::LAYOUT.fields {
         let mut mutated = messages.clone();
         let row = &mut mutated[place].frame_mut::<C>().unwrap().rows[row];
+        let robot = C::robot(row);
         bytemuck::bytes_of_mut(row)[field.offset] ^= 1;
         let of_journal = C::MESSAGE == Ticks::MESSAGE && field.name != "taken_ns";
         let expected = if of_journal { expected(field.name) } else { Different };
-        check(&format!("rows.{}", field.name), expected, mutated);
+        let report = check(&format!("rows.{}", field.name), expected, mutated);
+        // A bit of an output is one difference, named with its tick, robot and field.
+        if robot.is_some() {
+            let first = report.first.clone().unwrap();
+            assert_eq!((first.tick, first.robot), (TICK, robot), "{report}");
+            assert!(first.field.ends_with(&format!(".{}", field.name)), "{report}");
+            assert_ne!(first.recorded, first.computed, "{report}");
+            assert_eq!((report.differences, report.ticks_verified), (1, 90), "{report}");
+        }
     }
 }
 
 #[test]
-fn each_field_of_each_channel_is_compared_or_does_not_follow_from_samples() {
+fn each_field_of_each_channel_is_compared_and_named_or_does_not_follow_from_samples() {
     let messages = recorded(4, 90);
     let mut wrong = Vec::new();
     flip_fields::<Forecasts>(&messages, at::<Forecasts>(&messages, TICK), 5, &mut wrong);
