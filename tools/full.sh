@@ -55,7 +55,6 @@ step aarch64-all cross 'export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gc
     cargo check --workspace --all-targets --locked --target aarch64-unknown-linux-gnu'
 step model-fixtures - 'python3 tools/model_fixtures.py'
 step model-parity - 'python3 tools/model_parity.py'
-step train-peer - 'python3 tools/train_peer.py --quick'
 # Figures of --quick are none for a document.
 step measure - 'tools/figures.sh --quick'
 step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -p joulebus-link

@@ -21,9 +21,10 @@ command -v npm >/dev/null || skip "npm is not installed"
 [ "$(node -p 'process.versions.node.split(".")[0]')" -ge 20 ] || skip "node $(node --version) is older than 20"
 mkdir -p "$folder"
 cp tools/grafana/* "$folder/"
-if ! cmp -s "$folder/package-lock.json" "$folder/node_modules/.installed"; then
-    npm ci --prefix "$folder" --silent --no-audit --no-fund || skip "@grafana/schema and typescript were not installed"
-    cp "$folder/package-lock.json" "$folder/node_modules/.installed"
+if ! cmp -s "$folder/package.json" "$folder/node_modules/.installed"; then
+    # Exact versions, which depend on nothing but typescript's programs for each processor.
+    npm install --prefix "$folder" --no-package-lock --silent --no-audit --no-fund || skip "@grafana/schema and typescript were not installed"
+    cp "$folder/package.json" "$folder/node_modules/.installed"
 fi
 node "$folder/write.mjs" configs/grafana/joulebus.json "$folder"
 "$folder/node_modules/.bin/tsc" --project "$folder"
