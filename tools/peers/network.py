@@ -33,10 +33,9 @@ BATCHES = [1, 7, 20, 100, 1_000, 10_000, 100_000]
 SHARED_FROM = 10_000
 ROWS = 100_000
 ROUNDS = 3
-NAMES = ["joulebus", "onnxruntime", "openvino", "pytorch", "pytorch-compile", "jax", "numpy",
-         "tract", "candle", "nalgebra"]
-RUST = {"joulebus", "tract", "candle", "nalgebra"}
-THREADED = {"joulebus", "onnxruntime", "openvino", "pytorch", "pytorch-compile"}
+NAMES = ["joulebus", "onnxruntime", "openvino", "pytorch", "jax", "numpy", "nalgebra"]
+RUST = {"joulebus", "nalgebra"}
+THREADED = {"joulebus", "onnxruntime", "openvino", "pytorch"}
 # Largest allowed error against double precision, W: of single precision, and of the other form of
 # GELU. A larger error means a different computation.
 ALLOWED_W = {"numpy": 1e-2}
@@ -45,7 +44,6 @@ ALLOWED_SINGLE_W = 2e-5
 PACKAGES = ["numpy==2.4.6", "scipy==1.17.1", "safetensors==0.8.0", "matplotlib==3.11.2"]
 PACKAGES_OF = {
     "onnxruntime": ["onnx==1.23.2", "onnxruntime==1.31.1"],
-    "tract": ["onnx==1.23.2"],
     "openvino": ["onnx==1.23.2", "openvino==2026.4.1"],
     "jax": ["jax==0.10.2", "jaxlib==0.10.2"],
 }
@@ -66,7 +64,7 @@ def in_environment(directory, wanted):
         say(f"making {environment}")
         subprocess.run([sys.executable, "-m", "venv", environment], check=True)
     needed = set(PACKAGES).union(*(PACKAGES_OF.get(peer, []) for peer in wanted))
-    if {"pytorch", "pytorch-compile"} & set(wanted):
+    if "pytorch" in wanted:
         needed.add(TORCH)
     there = subprocess.run([python, "-m", "pip", "freeze"], capture_output=True, text=True).stdout
     there = {line.split("+")[0].lower() for line in there.splitlines()}
@@ -84,7 +82,7 @@ def build_rust(directory):
     say("building the Rust peers")
     target = directory / "target"
     command = ["cargo", "build", "--release", "--locked", "--target-dir", target]
-    subprocess.run(command, cwd=HERE / "network", check=True)
+    subprocess.run([*command, "--package", "joulebus-network-peers"], cwd=HERE, check=True)
     return target / "release" / "joulebus-network-peers"
 
 
@@ -147,38 +145,22 @@ def truth(model, rows):
     return values[:, 0] * float(told["power_std_w"]) + float(told["power_mean_w"])
 
 
-def write_onnx(path, layers, fused):
-    """The network as ONNX. `fused` uses the operator Gelu (opset 20), else its parts."""
-    import numpy
+def write_onnx(path, layers):
+    """The network as ONNX, with its operator Gelu (opset 20)."""
     import onnx
     from onnx import TensorProto, helper, numpy_helper
 
     nodes, constants, value = [], [], "rows"
-    constant = lambda name, data: constants.append(numpy_helper.from_array(data, name))
-    for name, number in (("half", 0.5), ("one", 1.0), ("root", 2.0 ** -0.5)):
-        if not fused:
-            constant(name, numpy.array(number, numpy.float32))
     for place, (weights, bias) in enumerate(layers):
-        constant(f"w{place}", weights)
-        constant(f"b{place}", bias)
+        constants += [numpy_helper.from_array(weights, f"w{place}"), numpy_helper.from_array(bias, f"b{place}")]
         sums = f"sums{place}" if place < 3 else "forecasts"
         nodes.append(helper.make_node("Gemm", [value, f"w{place}", f"b{place}"], [sums], transB=1))
         value = f"values{place}"
-        if place == 3:
-            break
-        if fused:
+        if place < 3:
             nodes.append(helper.make_node("Gelu", [sums], [value], approximate="none"))
-            continue
-        for operator, inputs, output in (
-            ("Mul", [sums, "root"], f"scaled{place}"), ("Erf", [f"scaled{place}"], f"erf{place}"),
-            ("Add", [f"erf{place}", "one"], f"phi{place}"), ("Mul", [sums, f"phi{place}"], f"twice{place}"),
-            ("Mul", [f"twice{place}", "half"], value),
-        ):
-            nodes.append(helper.make_node(operator, inputs, [output]))
     shape = lambda name, width: helper.make_tensor_value_info(name, TensorProto.FLOAT, ["batch", width])
     graph = helper.make_graph(nodes, "network", [shape("rows", 11)], [shape("forecasts", 1)], constants)
-    opset = helper.make_opsetid("", 20 if fused else 17)
-    model = helper.make_model(graph, opset_imports=[opset], ir_version=9)
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 20)], ir_version=9)
     onnx.checker.check_model(model)
     onnx.save(model, path)
 
@@ -218,7 +200,7 @@ def openvino_peer(arguments):
     return prepare
 
 
-def torch_peer(arguments, compiled):
+def torch_peer(arguments):
     import torch
 
     torch.set_num_threads(arguments.threads)
@@ -233,12 +215,11 @@ def torch_peer(arguments, compiled):
         return values
 
     def prepare(rows):
-        run = torch.compile(network, dynamic=False) if compiled else network
         rows = torch.from_numpy(rows)
 
         def call():
             with torch.inference_mode():
-                return run(rows)
+                return network(rows)
 
         return call, lambda: call().numpy()
 
@@ -303,8 +284,7 @@ def numpy_peer(arguments):
 PREPARE = {
     "onnxruntime": onnxruntime_peer,
     "openvino": openvino_peer,
-    "pytorch": lambda arguments: torch_peer(arguments, False),
-    "pytorch-compile": lambda arguments: torch_peer(arguments, True),
+    "pytorch": torch_peer,
     "jax": jax_peer,
     "numpy": numpy_peer,
 }
@@ -362,12 +342,11 @@ class Runner:
 
     def __init__(self, peer, threads, arguments, place, rust):
         self.peer, self.threads = peer, threads
-        onnx = place / ("plain.onnx" if peer == "tract" else "fused.onnx")
-        told = ["--model", arguments.model, "--onnx", onnx, "--rows", place / "rows.f32", "--threads", threads]
+        told = ["--model", arguments.model, "--rows", place / "rows.f32", "--threads", threads]
         if peer in RUST:
-            command = [rust, peer, *told]
+            command = [rust, peer, *told, "--layers", place / "layers.f32"]
         else:
-            command = [sys.executable, pathlib.Path(__file__).resolve(), "--as", peer, *told]
+            command = [sys.executable, pathlib.Path(__file__).resolve(), "--as", peer, *told, "--onnx", place / "network.onnx"]
         count = str(threads)
         environment = os.environ | {"OMP_NUM_THREADS": count, "OPENBLAS_NUM_THREADS": count, "MKL_NUM_THREADS": count,
                                     "RAYON_NUM_THREADS": count}
@@ -449,15 +428,15 @@ def measure(runners, batches, seconds, rounds):
 def versions(wanted):
     from importlib import metadata
 
-    lock = (HERE / "network" / "Cargo.lock").read_text()
+    lock = (HERE / "Cargo.lock").read_text()
     found = {}
     for peer in wanted:
         if peer in RUST:
-            crate = {"joulebus": "joulebus-predictor", "tract": "tract-onnx", "candle": "candle-core"}.get(peer, peer)
+            crate = {"joulebus": "joulebus-predictor"}.get(peer, peer)
             after = lock.split(f'name = "{crate}"\nversion = "', 1)
             found[peer] = after[1].split('"', 1)[0] if len(after) == 2 else "?"
         else:
-            found[peer] = metadata.version({"pytorch-compile": "torch", "pytorch": "torch"}.get(peer, peer))
+            found[peer] = metadata.version({"pytorch": "torch"}.get(peer, peer))
     return found
 
 
@@ -479,7 +458,7 @@ def to_suite(times, errors, inputs):
     made.sort(key=lambda made: made["name"])
     notes = [
         "Peers get the least work: normalisation folded, rows in their own memory, one call a batch, "
-        "IO binding (ONNX Runtime), static shapes (OpenVINO, PyTorch compile, JAX, tract).",
+        "IO binding (ONNX Runtime), static shapes (OpenVINO, JAX).",
         "OpenVINO is told to compute in f32: by itself it takes bf16 here, with an error of 3e-2.",
         "NumPy has no error function: GELU in its tanh form, another model by 1e-3 W.",
     ]
@@ -513,9 +492,10 @@ def drive(arguments):
     rust = build_rust(place)
     rows = rows_of(arguments.model, arguments.seed, ROWS)
     rows.tofile(place / "rows.f32")
-    if {"onnxruntime", "openvino", "tract"} & set(wanted):
-        for name, fused in (("fused.onnx", True), ("plain.onnx", False)):
-            write_onnx(place / name, layers_of(arguments.model), fused)
+    layers = layers_of(arguments.model)
+    (place / "layers.f32").write_bytes(b"".join(part.tobytes() for layer in layers for part in layer))
+    if {"onnxruntime", "openvino"} & set(wanted):
+        write_onnx(place / "network.onnx", layers)
     seconds, rounds = (0.02, 1) if arguments.quick else (arguments.seconds, ROUNDS)
     times, errors = {}, {}
     for threads in (1, 2):

@@ -3,11 +3,9 @@
 //! the ns that each of many calls took, as a JSON array.
 #![forbid(unsafe_code)]
 
-mod candle;
 mod input;
 mod nalgebra;
 mod ours;
-mod tract;
 
 use std::fs;
 use std::hint::black_box;
@@ -26,9 +24,9 @@ struct Arguments {
     /// The model file.
     #[arg(long)]
     model: PathBuf,
-    /// The same network as ONNX, its normalisation folded into the first and last layer.
+    /// Weights and biases of each layer, the normalisation folded into the first and last.
     #[arg(long)]
-    onnx: PathBuf,
+    layers: PathBuf,
     /// Rows of features, little-endian f32.
     #[arg(long)]
     rows: PathBuf,
@@ -40,8 +38,6 @@ struct Arguments {
 #[derive(Debug, Clone, Copy, ValueEnum)]
 enum Peer {
     Joulebus,
-    Tract,
-    Candle,
     Nalgebra,
 }
 
@@ -62,9 +58,7 @@ fn main() -> anyhow::Result<()> {
     let rows = input::rows(&arguments.rows)?;
     let mut forecaster: Box<dyn Forecaster> = match arguments.peer {
         Peer::Joulebus => Box::new(ours::Ours::load(&arguments.model, arguments.threads)?),
-        Peer::Tract => Box::new(tract::Tract::load(&arguments.onnx)),
-        Peer::Candle => Box::new(candle::Candle::load(&input::layers(&arguments.model)?)?),
-        Peer::Nalgebra => Box::new(nalgebra::Nalgebra::load(&input::layers(&arguments.model)?)),
+        Peer::Nalgebra => Box::new(nalgebra::Nalgebra::load(&input::layers(&arguments.layers)?)),
     };
     println!("ready");
     for line in std::io::stdin().lock().lines() {

@@ -1,14 +1,16 @@
 //! joulebus.
 
+use std::fs;
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-use joulebus_predictor::{FEATURES, Features, Network};
+use anyhow::{Context as _, ensure};
+use joulebus_predictor::{FEATURES, FeatureSet, Features, Network};
 
-use crate::{Call, Forecaster, input};
+use crate::{Call, Forecaster};
 
 pub(crate) struct Ours {
     network: Network,
@@ -17,7 +19,9 @@ pub(crate) struct Ours {
 
 impl Ours {
     pub(crate) fn load(model: &Path, threads: usize) -> anyhow::Result<Self> {
-        let network = input::network(model)?;
+        let bytes = fs::read(model).with_context(|| model.display().to_string())?;
+        let network = Network::from_safetensors(&bytes)?;
+        ensure!(network.feature_set() == FeatureSet::Full, "a network of all features");
         Ok(Self { network, threads })
     }
 }
