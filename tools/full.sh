@@ -53,7 +53,6 @@ step aarch64 - 'tools/aarch64.sh'
 # With the cross compiler that aarch64.sh installs.
 step aarch64-all cross 'export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gcc CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc
     cargo check --workspace --all-targets --locked --target aarch64-unknown-linux-gnu'
-step model-fixtures - 'python3 tools/model_fixtures.py'
 step model-parity - 'python3 tools/model_parity.py'
 # Figures of --quick are none for a document.
 step measure - 'tools/figures.sh --quick'
@@ -103,7 +102,7 @@ export -f tested
 
 check() {
     local text name file left=() missing=() reached=(.ci/run tools/full.sh)
-    mapfile -t left < <(git ls-files --cached --others --exclude-standard tools | sed -E 's,^(tools/(peers/|walks/)?[^/]+)/.*,\1,' | sort -u)
+    mapfile -t left < <(git ls-files --cached --others --exclude-standard tools | sed -E 's,^(tools/(walks/)?[^/]+)/.*,\1,' | sort -u)
     # What tests run, and then what is named or imported by what is run. Comments do not count.
     text=$(git grep -hE 'tools/|\.(sh|py)"' -- '*.rs' | grep -v '^ *//')
     while [ ${#reached[@]} -gt 0 ]; do

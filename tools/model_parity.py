@@ -8,12 +8,14 @@ carries beside joulebus's own forecasts.
 Back: the tests of `joulebus.models.convert` run with the real PyTorch, ONNX and safetensors.
 
 Every difference has to stay below 1e-5 W. Exit code 1 if one does not, or if a test fails or is skipped.
+The packages are in target/model-parity, in pinned versions: 5 GB, or 1 GB where PyTorch's index of CPU wheels can be reached.
 
 Usage: python3 tools/model_parity.py [MODEL.safetensors ...]     (default: the models that ship)
        JOULEBUS=path/to/joulebus sets the program, with joulebus-lab beside it
        [default: cargo build --release -p joulebus -p joulebus-lab]. The package's native half is built in any case
 """
 import json
+import math
 import os
 import pathlib
 import shutil
@@ -21,16 +23,20 @@ import subprocess
 import sys
 import tempfile
 
-from model_environment import ROOT, inside
+from pinned_environment import TORCH, python_of
 
-inside()
+ROOT = pathlib.Path(__file__).resolve().parent.parent
+HOME = pathlib.Path(os.environ.get("JOULEBUS_PARITY_HOME", ROOT / "target/model-parity"))
+# The newest that Python 3.11 has.
+PINNED = ["numpy==2.4.6", "onnx==1.23.2", "onnxruntime==1.32.0", "pytest==9.2.0", "safetensors==0.8.0", TORCH]
+if pathlib.Path(sys.prefix).resolve() != HOME.resolve():
+    python = python_of(HOME, PINNED)
+    os.execv(python, [python, *sys.argv])
 
 import numpy as np  # noqa: E402
 import onnx  # noqa: E402
 import onnxruntime  # noqa: E402
 import torch  # noqa: E402
-
-from model_fixtures import gelu, module  # noqa: E402
 
 LIMIT_W = 1e-5
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
@@ -52,6 +58,10 @@ def joulebus(*arguments):
     return json.loads(done.stdout)
 
 
+def gelu(x):
+    return np.vectorize(lambda value: 0.5 * value * (1.0 + math.erf(value / math.sqrt(2.0))))(x)
+
+
 def by_numpy(arrays, rows):
     std = arrays["feature_std"].astype(np.float64)
     inverse = np.divide(1.0, std, out=np.zeros_like(std), where=std > 0)
@@ -67,10 +77,10 @@ def by_torch(arrays, rows):
     std = torch.tensor(arrays["feature_std"])
     inverse = torch.where(std > 0, 1.0 / std, torch.zeros_like(std))
     values = (torch.tensor(rows) - torch.tensor(arrays["feature_mean"])) * inverse
-    net = module([(arrays[f"layers.{n}.weight"], arrays[f"layers.{n}.bias"]) for n in range(4)])
-    with torch.no_grad():
-        values = net(values)[:, 0]
-    return values.numpy() * arrays["power_std_w"] + arrays["power_mean_w"]
+    for number in range(4):
+        values = torch.nn.functional.linear(values, *(torch.tensor(arrays[f"layers.{number}.{part}"]) for part in ("weight", "bias")))
+        values = torch.nn.functional.gelu(values) if number < 3 else values
+    return values[:, 0].numpy() * arrays["power_std_w"] + arrays["power_mean_w"]
 
 
 def by_onnx(path, rows):

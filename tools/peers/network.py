@@ -82,7 +82,7 @@ def build_rust(directory):
     say("building the Rust peers")
     target = directory / "target"
     command = ["cargo", "build", "--release", "--locked", "--target-dir", target]
-    subprocess.run([*command, "--package", "joulebus-network-peers"], cwd=HERE, check=True)
+    subprocess.run(command, cwd=HERE / "network", check=True)
     return target / "release" / "joulebus-network-peers"
 
 

@@ -31,7 +31,7 @@ POWERS = {name: STATED[name] for name in ("unit", "lag_order", "activation")}
 
 
 def fixture(name: str, folder: Path) -> Path:
-    """A file that NumPy or PyTorch wrote (tools/model_fixtures.py)."""
+    """A file that NumPy or PyTorch wrote (tools/model_fixtures.py of commit d912ee38)."""
     path = folder / name
     path.write_bytes(gzip.decompress((FIXTURES / f"{name}.gz").read_bytes()))
     return path
