@@ -3,7 +3,7 @@
 
     tools/attack.py --minutes 30                      # all attacks in turn, from seed 1 on
     tools/attack.py --minutes 480 --seed 7 --report night.json
-    tools/attack.py --minutes 5 --only workers,hosts  # these attacks. --list shows all
+    tools/attack.py --minutes 5 --only clients,hosts  # these attacks. --list shows all
 
 An attack is a test of the repository with another seed in each round: processes that are killed
 while others work, frames and messages that lie, files that are cut, simulated hosts with faults in
@@ -33,13 +33,10 @@ ATTACKS = [
      "cargo run --locked -q -p joulebus-simulator --bin joulebus-sim -- --from {seed} --seeds 4", {}),
     ("publishers", "sources killed at random instants", SYSTEM.format("publishers"),
      {"JOULEBUS_PUBLISHER_KILLS": "40"}),
-    ("workers", "workers killed at random instants", SYSTEM.format("workers"),
-     {"JOULEBUS_WORKER_KILLS": "20"}),
     ("clients", "clients killed in the middle of questions, and the worker while it is asked",
      SYSTEM.format("questions"), {"JOULEBUS_ASK_KILLS": "20", "JOULEBUS_ANSWERER_KILLS": "20"}),
     ("recorders", "recorders killed while they write", SYSTEM.format("captures"),
      {"JOULEBUS_KILLS": "10"}),
-    ("samples", "impossible values, lost, late, repeated and foreign samples", SYSTEM.format("samples"), {}),
     ("memory", "shared memory and its files run out", SYSTEM.format("full_memory"), {}),
     ("links", "hostile and damaged messages between hosts",
      "cargo test --locked -p joulebus-link --bin joulebus-link protocol", {"PROPTEST_CASES": "2000"}),

@@ -13,7 +13,6 @@ mod planner;
 mod protocol;
 mod script;
 mod source;
-mod spoilt;
 
 pub use arena::{Arena, Setup, alone, program, without_loss};
 pub use figure::{Dice, Spread, figure};
@@ -21,8 +20,7 @@ pub use joulebus_testkit::{Child, Ended, MemoryGroup, PATIENCE, as_in_docker, ev
 pub use planner::{Answers, Planner};
 pub use protocol::{
     Answer, AskerLine, Forge, FrameLine, FrameRead, ReaderLine, SourceLine, accounted, answer,
-    drawn_exact, names, tick_ns,
+    names,
 };
-pub use script::{is_whole, sample, script, steady, steady_uw};
+pub use script::{is_whole, sample, script, steady};
 pub use source::Source;
-pub use spoilt::spoilt;

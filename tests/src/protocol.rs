@@ -5,7 +5,7 @@ use std::ops::Deref;
 
 use bytemuck::AnyBitPattern;
 use joulebus_wire::{
-    Budget, Budgets, Channel, Diagnostics, DropReason, Forecast, ForecastHeader, Forecasts, Sample,
+    Budgets, Channel, Diagnostics, DropReason, Forecast, ForecastHeader, Forecasts, Sample,
 };
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -171,11 +171,6 @@ impl<'de, C: Channel> Deserialize<'de> for FrameRead<C> {
     }
 }
 
-/// Time from the start of the tick to the sending of its frame, ns.
-pub const fn tick_ns(header: &ForecastHeader) -> u64 {
-    header.sent_ns.saturating_sub(header.compute_start_ns)
-}
-
 /// Samples accepted and dropped so far.
 pub fn accounted(header: &ForecastHeader) -> u64 {
     header.samples_accepted + header.samples_dropped.total()
@@ -200,11 +195,6 @@ pub fn names(
     diagnostics
         .refusals()
         .any(|refusal| (refusal.robot, refusal.reason(), refusal.pid) == (robot, Some(reason), pid))
-}
-
-/// Energy drawn in µW·ns · 2, exact.
-pub fn drawn_exact(budget: &Budget) -> i128 {
-    i128::from(budget.drawn_uj) * 2_000_000_000 + i128::from(budget.drawn_remainder)
 }
 
 /// A line of a client that asks about plans.

@@ -2,12 +2,6 @@
 
 use joulebus_wire::Sample;
 
-/// Power of `robot` in [`steady`], µW: exact in `f32` as watts, and within the limits of a GTernal
-/// up to robot 130.
-pub const fn steady_uw(robot: u32) -> i128 {
-    3_500_000 + robot as i128 * 125_000
-}
-
 /// Sample `seq` of `robot` in a script: a pure function of the two numbers. Stamps are `period_ns`
 /// apart and start at one hour; the worker compares them only with each other.
 pub fn sample(robot: u32, seq: u64, period_ns: u64) -> Sample {
@@ -26,7 +20,7 @@ pub fn script(robots: &[u32], frames: u64, period_ns: u64) -> Vec<Vec<Sample>> {
         .collect()
 }
 
-/// A sample of a robot with constant power; its other values are a function of robot and number, so
+/// A sample of a robot with constant power, within the limits of a GTernal up to robot 130; its other values are a function of robot and number, so
 /// that [`is_whole`] can check them.
 pub fn steady(robot: u32, seq: u64, stamp_ns: u64) -> Sample {
     let power_w = 3.5 + robot as f32 * 0.125;

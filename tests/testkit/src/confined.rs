@@ -78,6 +78,11 @@ impl MemoryGroup {
         self.inside("echo 1000 >/proc/self/oom_score_adj", command)
     }
 
+    /// The command in this group.
+    pub fn within(&self, command: &Command) -> Command {
+        self.inside("true", command)
+    }
+
     fn inside(&self, before: &str, command: &Command) -> Command {
         let mut shell = Command::new("sh");
         shell.arg("-c").arg(format!("echo $$ >\"$0\" && {before} && exec \"$@\""));
@@ -92,7 +97,7 @@ impl MemoryGroup {
     pub fn exhaust(&self) {
         let mut endless = Command::new("tail");
         endless.arg("/dev/zero");
-        let ended = crate::Child::spawn("tail", self.inside("true", &endless)).wait();
+        let ended = crate::Child::spawn("tail", self.within(&endless)).wait();
         assert_eq!(ended.signal(), Some(9), "{}", ended.errors());
     }
 }

@@ -1,13 +1,12 @@
-//! Recording beside a worker and on a signal; playing in a loop and under another name.
+//! A worker that records itself; playing in a loop and under another name.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use joulebus_capture_format::Reader;
-use joulebus_tests::{Arena, Child, Ended, Setup, alone, eventually, program, without_loss};
+use joulebus_tests::{Arena, Child, Ended, Setup, alone, program, without_loss};
 use joulebus_wire::Samples;
-use rustix::process::Signal;
 
 const ROBOTS: u32 = 12;
 
@@ -43,39 +42,6 @@ fn a_capture_of_a_worker_that_records_itself_is_verified() {
     assert_eq!(verified.code(), Some(0), "{}", verified.text());
     let verified = verified.json();
     assert_eq!(verified["ticks_verified"], report["ticks"], "{verified}");
-}
-
-#[test]
-fn a_signal_writes_a_snapshot_and_the_recorder_continues() {
-    let arena = Arena::new(&Setup::simulated());
-    let file = arena.files().join("snapshot.mcap");
-    let name = file.to_str().unwrap();
-    let options = ["--snapshot", "60", "--no-alarm", "--format", "json"];
-    let arguments = [&["record", "-o", name], &options[..]].concat();
-    let mut recorder = Child::spawn("recorder", arena.command(&arguments));
-    recorder.wait_for_line("recording t into");
-    let _worker = arena.worker();
-    arena.simulate(ROBOTS, 30);
-    assert!(!file.exists(), "written without a request");
-    recorder.signal(Signal::USR1);
-    eventually("the first snapshot", || {
-        Reader::open(&file).is_ok_and(|mut reader| reader.all(|entry| entry.is_ok()))
-    });
-    assert!(samples(&file) > 0);
-
-    arena.simulate(ROBOTS, 30);
-    let second = arena.files().join("snapshot_1.mcap");
-    recorder.signal(Signal::USR1);
-    eventually("the second snapshot", || second.exists());
-    let report = recorder.end();
-    assert!(matches!(report.code(), Some(0 | 3)), "{}", report.errors());
-    // Messages of the first snapshot are not written again.
-    assert!(samples(&second) > 0);
-    let frames = |file: &Path| Reader::open(file).unwrap().count();
-    assert_eq!(report.json()["messages"], frames(&file) + frames(&second), "{}", report.text());
-    let left = fs::read_dir(arena.files()).unwrap().flatten();
-    let captures = left.filter(|entry| entry.path().extension().is_some_and(|end| end == "mcap"));
-    assert_eq!(captures.count(), 2, "a snapshot was written at the end");
 }
 
 #[test]

@@ -84,13 +84,24 @@ const REMOVALS: [Removal; 9] = [
 ];
 
 #[test]
-fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works() {
+fn a_worker_whose_files_are_removed_is_named_exits_with_the_reason_and_the_next_one_works() {
     let arena = Arena::new(&Setup::default());
     let mut noticed = Spread::default();
     for (round, (what, remove)) in REMOVALS.into_iter().enumerate() {
         let mut fleet = Fleet::start(&arena, round);
-        let begin = Instant::now();
+        let healthy = arena.run(&["doctor"]);
+        assert_eq!(healthy.code(), Some(0), "{what}: {healthy:?}");
+        // A stopped process cannot detect it: doctor must.
+        fleet.worker.signal(Signal::STOP);
         remove(&arena);
+        let ended = arena.run(&["doctor"]);
+        assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
+        let (pid, text) = (fleet.worker.pid().to_string(), ended.text());
+        let line = text.lines().find(|line| line.contains("removed files"));
+        assert!(line.is_some_and(|line| line.contains(&pid)), "{what}: {text}");
+        assert!(text.contains("RemoveIPC"), "{what}: {text}");
+        let begin = Instant::now();
+        fleet.worker.signal(Signal::CONT);
         fleet.worker.wait_for_line(NOTICED);
         noticed.add(begin.elapsed());
         let ended = fleet.worker.wait();
@@ -107,6 +118,8 @@ fn a_worker_whose_files_are_removed_exits_with_the_reason_and_the_next_one_works
         controller.finish();
         planner.leave();
         worker.stop();
+        let fixed = arena.run(&["doctor", "--fix"]);
+        assert_eq!(fixed.code(), Some(0), "{what}: {fixed:?}");
         assert_eq!(arena.stale_files(), Vec::<PathBuf>::new(), "{what}");
     }
     figure(
@@ -165,36 +178,6 @@ fn doctor_finds_no_fault_with_what_a_reader_that_has_left_had() {
     }
     controller.finish();
     planner.child.end();
-}
-
-#[test]
-fn doctor_names_processes_that_use_removed_files() {
-    let arena = Arena::new(&Setup::default());
-    for (what, remove) in REMOVALS {
-        let mut worker = arena.worker();
-        let mut planner = arena.planner();
-        let mut controller = arena.controller("fleet", 0, 4, 30.0);
-        planner.forecast("all work", |frame| frame.robot(3).map(|_| ()));
-        let healthy = arena.run(&["doctor"]);
-        assert_eq!(healthy.code(), Some(0), "{what}: {healthy:?}");
-        // A stopped process cannot detect it: doctor must.
-        worker.signal(Signal::STOP);
-        remove(&arena);
-        let ended = arena.run(&["doctor"]);
-        assert_eq!(ended.code(), Some(1), "{what}: {ended:?}");
-        let pid = worker.pid().to_string();
-        let text = ended.text();
-        let line = text.lines().find(|line| line.contains("removed files"));
-        assert!(line.is_some_and(|line| line.contains(&pid)), "{what}: {text}");
-        assert!(text.contains("RemoveIPC"), "{what}: {text}");
-        worker.signal(Signal::CONT);
-        assert_eq!(worker.wait().code(), Some(1), "{what}");
-        controller.finish();
-        planner.child.end();
-        let fixed = arena.run(&["doctor", "--fix"]);
-        assert_eq!(fixed.code(), Some(0), "{what}: {fixed:?}");
-        assert_eq!(arena.stale_files(), Vec::<PathBuf>::new(), "{what}");
-    }
 }
 
 #[test]

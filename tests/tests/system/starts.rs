@@ -1,40 +1,12 @@
-//! Row 24: a start that cannot succeed is refused with a message, and leaves no files.
+//! What a start needs. That it is refused with the bytes needed and free is tested by `full_memory`
+//! and in `bus` (`does_not_fit`).
 
 use std::process::Command;
 
 use joulebus_bus::{CapacityError, Ports, check_capacity};
 use joulebus_config::Config;
 use joulebus_testkit::assert_contains;
-use joulebus_tests::{Arena, Child, Ended, Setup, figure};
-
-#[test]
-fn row_24_too_little_shared_memory_is_refused_at_the_start_with_needed_and_free_bytes() {
-    let arena = Arena::new(&Setup {
-        capacity: 1_000_000,
-        max_planners: 256,
-        max_sources: 256,
-        buffer_frames: 256,
-        ..Setup::default()
-    });
-    let refused = |name: &str, ended: &Ended| {
-        assert_eq!(ended.signal(), None, "{name}: no SIGBUS: {ended:?}");
-        assert_eq!(ended.code(), Some(1), "{name}: {ended:?}");
-        let errors = ended.errors();
-        let words: Vec<&str> = errors.split_whitespace().collect();
-        let before = |word: &str| -> u64 {
-            let at = words.iter().position(|found| *found == word).expect(word);
-            words[at - 1].parse().unwrap_or_else(|_| words[at - 2].parse().expect(&errors))
-        };
-        let (needed, free) = (before("needed,"), before("free"));
-        assert!(needed > free && free > 0, "{name}: {errors}");
-        (needed, free)
-    };
-    let (needed, free) = refused("worker", &arena.run(&["run"]));
-    let mut source = Child::spawn("source", arena.probe(&["source", "fleet"]));
-    refused("source", &source.wait());
-    assert_eq!(arena.stale_files(), Vec::<std::path::PathBuf>::new());
-    figure("row 24, SIGBUS", format_args!("0; worker refused: {needed} bytes needed, {free} free"));
-}
+use joulebus_tests::{Arena, Child, Setup, figure};
 
 #[test]
 fn the_default_fleet_fits_into_what_a_container_has() {

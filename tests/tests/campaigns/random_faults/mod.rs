@@ -22,11 +22,12 @@ use std::time::Duration;
 use joulebus_capture_format::Reader;
 use joulebus_testkit::OnDrop;
 use joulebus_tests::{
-    Arena, Child, Dice, Ended, Forge, Planner, ReaderLine, Setup, alone, figure, sample,
+    Arena, Child, Dice, Ended, Forge, MemoryGroup, Planner, ReaderLine, Setup, alone, figure,
+    sample,
 };
 use joulebus_wire::{Quality, Sample};
 use rustix::process::{Pid, Resource, Signal, kill_process};
-use shortages::{LittleMemory, SmallDisk, limited};
+use shortages::{SmallDisk, limited};
 
 const FAULTS: u64 = 40;
 /// Robots of each controller, and rate of their samples.
@@ -222,7 +223,7 @@ impl<'a> Fleet<'a> {
     /// first.
     fn start_with_little_memory(&mut self, at: usize, dice: &mut Dice) {
         let most = (2 + dice.below(40)) << 20;
-        let Some(group) = LittleMemory::create(most) else {
+        let Some(group) = MemoryGroup::new(most) else {
             return self.kill_while_starting(at, dice);
         };
         if self.may_start_another(at) {

@@ -1,9 +1,8 @@
-//! Less of a resource than a process needs: a disk, memory, a limit.
+//! Less of a resource than a process needs: a disk, a limit.
 
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 
 use joulebus_tests::Child;
@@ -58,67 +57,5 @@ impl Drop for SmallDisk {
         let mut command = Command::new("umount");
         command.args(["-l"]).arg(&self.folder);
         let _ = Child::spawn("umount", command).wait();
-    }
-}
-
-/// A control group whose processes are killed by the kernel when they need more memory than it has.
-pub(crate) struct LittleMemory {
-    folder: PathBuf,
-}
-
-static GROUPS: AtomicU32 = AtomicU32::new(0);
-
-impl LittleMemory {
-    /// None where control groups are not writable.
-    pub(crate) fn create(max_bytes: u64) -> Option<Self> {
-        let number = GROUPS.fetch_add(1, Ordering::Relaxed);
-        let name = format!("joulebus-test-{}-{number}", std::process::id());
-        // Version 1 has one hierarchy for memory, version 2 one for everything.
-        let places =
-            [("/sys/fs/cgroup/memory", "memory.limit_in_bytes"), ("/sys/fs/cgroup", "memory.max")];
-        for (root, limit) in places {
-            if !Path::new(root).join("cgroup.procs").exists() {
-                continue;
-            }
-            let folder = Path::new(root).join(&name);
-            if fs::create_dir(&folder).is_err() {
-                continue;
-            }
-            let group = Self { folder };
-            if fs::write(group.folder.join(limit), max_bytes.to_string()).is_ok() {
-                return Some(group);
-            }
-        }
-        println!("skipped: little memory, because control groups are not writable");
-        None
-    }
-
-    /// The same command, started in the group.
-    pub(crate) fn within(&self, command: &Command) -> Command {
-        let mut inside = Command::new("sh");
-        inside
-            .args(["-c", "echo $$ > \"$0/cgroup.procs\" && exec \"$@\""])
-            .arg(&self.folder)
-            .arg(command.get_program())
-            .args(command.get_args());
-        for (name, value) in command.get_envs() {
-            match value {
-                Some(value) => inside.env(name, value),
-                None => inside.env_remove(name),
-            };
-        }
-        inside
-    }
-}
-
-impl Drop for LittleMemory {
-    fn drop(&mut self) {
-        // A process that was killed leaves the group a moment later.
-        for _ in 0..100 {
-            if fs::remove_dir(&self.folder).is_ok() {
-                return;
-            }
-            std::thread::sleep(Duration::from_millis(10));
-        }
     }
 }

@@ -3,7 +3,6 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod certificates;
-mod chaos;
 mod etcd;
 mod fleets;
 mod host;

@@ -116,7 +116,7 @@ impl Drop for Wires {
     }
 }
 
-pub(crate) fn listening() -> String {
+fn listening() -> String {
     format!("tcp/{}:7447", Wires::address(0))
 }
 

@@ -18,7 +18,6 @@ use rustix::process::Signal;
 use serde_json::Value;
 
 use crate::certificates::tls;
-use crate::chaos::{Chance, FAULTS, MORE};
 use crate::etcd::Etcd;
 use crate::host::{Host, free_address};
 use crate::namespaces::Wires;
@@ -638,6 +637,25 @@ fn hang(process: &mut Child, time: Duration, what: &'static str) -> &'static str
     what
 }
 
+/// Number of faults in the gate. The variable allows more.
+const FAULTS: usize = 6;
+const MORE: &str = "JOULEBUS_LINK_FAULTS";
+
+/// A pseudo-random sequence that is the same in every run.
+pub(crate) struct Chance(pub(crate) u64);
+
+impl Chance {
+    pub(crate) fn below(&mut self, most: u64) -> u64 {
+        self.0 =
+            self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % most
+    }
+
+    pub(crate) fn while_s(&mut self, most_ms: u64) -> Duration {
+        Duration::from_millis(50 + self.below(most_ms))
+    }
+}
+
 /// The two hosts under a supervisor that restarts what has ended, and the faults.
 struct Supervised {
     scene: Scene,
@@ -728,6 +746,7 @@ impl Supervised {
                 };
                 let place = (frame.epoch, frame.tick);
                 assert!(place > *last, "after {fault}: {last:?}, then {place:?}");
+                assert!(frame.sent_ns <= frame.read_ns, "after {fault}: from the future");
                 *last = place;
                 if is_fresh(&frame, now_ns) {
                     break;

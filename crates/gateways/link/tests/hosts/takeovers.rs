@@ -11,12 +11,11 @@ use rustix::process::Signal;
 use zenoh::Wait as _;
 use zenoh::sample::SampleKind;
 
-use crate::chaos::Chance;
 use crate::etcd::Etcd;
 use crate::host::{FOLLOW, Host, free_address, of_other};
 use crate::namespaces::Wires;
 use crate::planner::Reader;
-use crate::standby::{DEFAULT_TTL_S, Scene, Unscheduled, fresh, is_fresh};
+use crate::standby::{Chance, DEFAULT_TTL_S, Scene, Unscheduled, fresh, is_fresh};
 use crate::strangers::session;
 
 /// Time for which forecasts are watched after a fault.
