@@ -34,7 +34,7 @@ ATTACKS = [
     ("publishers", "sources killed at random instants", SYSTEM.format("publishers"),
      {"JOULEBUS_PUBLISHER_KILLS": "40"}),
     ("clients", "clients killed in the middle of questions, and the worker while it is asked",
-     SYSTEM.format("questions"), {"JOULEBUS_ASK_KILLS": "20", "JOULEBUS_ANSWERER_KILLS": "20"}),
+     SYSTEM.format("questions"), {"JOULEBUS_ASK_KILLS": "40", "JOULEBUS_ANSWERER_KILLS": "20"}),
     ("recorders", "recorders killed while they write", SYSTEM.format("captures"),
      {"JOULEBUS_KILLS": "10"}),
     ("memory", "shared memory and its files run out", SYSTEM.format("full_memory"), {}),

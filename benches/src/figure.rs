@@ -53,16 +53,3 @@ pub(crate) fn robots(count: usize) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{} robot{plural}", grouped(count as u64))
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn counts_are_grouped_by_thousands() {
-        for (count, text) in [(0, "0"), (1_000, "1,000"), (1_034_507, "1,034,507")] {
-            assert_eq!(grouped(count), text);
-        }
-        assert_eq!((robots(1), robots(700)), ("1 robot".to_owned(), "700 robots".to_owned()));
-    }
-}

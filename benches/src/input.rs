@@ -50,22 +50,3 @@ pub(crate) fn multiply_adds(network: &Network) -> usize {
     let layers = &network.parameters().layers;
     layers.iter().map(|layer| layer.weights.len()).sum()
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn rows_are_the_same_from_the_same_seed_and_lie_in_training() {
-        let (_, network) = network(None).expect("there is a built-in model");
-        let rows_of = |seed| rows(&network, seed, 100);
-        assert_eq!(rows_of(7), rows_of(7));
-        assert_ne!(rows_of(7), rows_of(8));
-        let range = network.card().training_range;
-        for row in rows_of(7) {
-            // A value at the bound may be rounded beyond it.
-            assert_eq!(range.outside(&row, 1e-6), None, "{row:?}");
-        }
-        assert_eq!(multiply_adds(&network), 11 * 64 + 64 * 64 + 64 * 32 + 32);
-    }
-}

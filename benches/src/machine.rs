@@ -70,16 +70,3 @@ pub(crate) fn anonymous_bytes() -> Option<u64> {
     let kilobytes: u64 = line.trim().trim_end_matches(" kB").parse().ok()?;
     Some(kilobytes * 1024)
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_build_names_the_compiler_and_the_pinned_iceoryx2() {
-        let build = build();
-        assert!(build["rustc"].as_str().is_some_and(|text| text.starts_with("rustc 1.")));
-        let manifest = include_str!("../../Cargo.toml");
-        assert!(manifest.contains(&format!("iceoryx2 = {{ version = \"={ICEORYX2}\"")));
-    }
-}

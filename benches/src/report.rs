@@ -107,35 +107,3 @@ pub(crate) fn significant(value: f64) -> String {
     let decimals = (4 - whole_digits).clamp(0, 9) as usize;
     format!("{value:.decimals$}")
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn text_and_json_have_machine_build_input_and_every_figure() {
-        let spread = Distribution::new(&[150.0, 151.0, 180.0]).expect("there are values");
-        let mut report = Report::new("kernel").with_input("seed", 7);
-        report.figures = vec![Figure::less("avx512_ns_per_robot", "100 robots", "ns", spread)];
-        report.notes.push("Hot: the same rows in every repetition.".to_owned());
-        let suite = Suite::here(vec![report]);
-        let value = serde_json::to_value(&suite).expect("it is plain data");
-        let figure = &value["reports"][0]["figures"][0];
-        assert_eq!((&value["schema"], &figure["p50"]), (&SCHEMA.into(), &151.0.into()));
-        assert_eq!((&figure["unit"], &figure["better"]), (&"ns".into(), &"less".into()));
-        let text = suite.to_string();
-        let (processor, rustc) = (shown(&suite.machine["processor"]), shown(&suite.build["rustc"]));
-        for needed in [&processor, &rustc, "seed 7", "p99.9", "100 robots", "151.0", "Hot:"] {
-            assert!(text.contains(needed), "{needed:?} is missing from\n{text}");
-        }
-    }
-
-    #[test]
-    fn figures_are_shown_in_four_digits() {
-        for (value, text) in
-            [(0.0, "0.000"), (0.01234, "0.01234"), (150.26, "150.3"), (23_433.4, "23433")]
-        {
-            assert_eq!(significant(value), text);
-        }
-    }
-}

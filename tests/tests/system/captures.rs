@@ -73,7 +73,7 @@ fn a_killed_recorder_loses_at_most_the_stated_window() {
     let whole = arena.files().join("whole.mcap");
     let mut witness = arena.recording(&whole, &[]);
     let mut killed: Vec<(PathBuf, u64)> = Vec::new();
-    for round in 0..Dice::rounds("JOULEBUS_KILLS", 10) {
+    for round in 0..Dice::rounds("JOULEBUS_KILLS", 5) {
         let file = arena.files().join(format!("killed-{round}.mcap"));
         let mut victim = arena.recording(&file, &[]);
         // A recorder killed during its start has recorded nothing that could be lost.

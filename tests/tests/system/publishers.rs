@@ -63,7 +63,7 @@ fn assert_goes_stale(planner: &mut Planner) -> bool {
 #[test]
 fn robots_of_killed_publishers_are_bridged_and_go_stale_and_every_restart_works() {
     let mut dice = Dice::roll();
-    let rounds = Dice::rounds("JOULEBUS_PUBLISHER_KILLS", 32);
+    let rounds = Dice::rounds("JOULEBUS_PUBLISHER_KILLS", 16);
     let setup = Setup {
         tick_hz: 100.0,
         rate_hz: 30.0,

@@ -89,7 +89,7 @@ fn least(arena: &Arena, pid: u32) -> (usize, usize) {
 
 #[test]
 fn clients_killed_in_the_middle_of_a_question_leave_nothing_behind_and_others_are_answered() {
-    let rounds = Dice::rounds("JOULEBUS_ASK_KILLS", 40);
+    let rounds = Dice::rounds("JOULEBUS_ASK_KILLS", 20);
     let mut dice = Dice::roll();
     let arena = Arena::new(&setup());
     let mut worker = arena.worker();
@@ -204,7 +204,7 @@ fn a_worker_that_ends_refuses_the_questions_that_wait() {
 
 #[test]
 fn a_killed_worker_is_an_error_at_once_and_the_next_one_answers() {
-    let rounds = Dice::rounds("JOULEBUS_ANSWERER_KILLS", 20);
+    let rounds = Dice::rounds("JOULEBUS_ANSWERER_KILLS", 10);
     let mut dice = Dice::roll();
     let arena = Arena::new(&setup());
     let mut source = arena.controller("source", 0, ROBOTS, HZ);
