@@ -5,7 +5,6 @@
 mod asker;
 mod consumer;
 mod controller;
-mod intruder;
 mod reader;
 mod source;
 
@@ -55,7 +54,6 @@ fn run(arguments: &[&str]) -> Done {
         ["asker", "late", config] => asker::late(&Config::load(config)?),
         ["asker", "bits", count, config] => asker::bits(&Config::load(config)?, count.parse()?),
         ["asker", "hostile", config] => asker::hostile(&Config::load(config)?),
-        ["intruder", config] => intruder::run(&Config::load(config)?),
         _ => Err(format!("unknown arguments: {arguments:?}").into()),
     }
 }

@@ -343,6 +343,30 @@ fn a_comparison_of_models_takes_new_normals_and_does_not_miss_them_as_frames() {
 }
 
 #[test]
+fn the_errors_of_recorded_models_are_those_that_the_worker_has_sent() {
+    let mut what_if =
+        WhatIf::new(world::settings(CAPACITY), world::models(), world::fresh_models()).unwrap();
+    let messages = recorded(1, 200);
+    let frames = messages.iter().filter_map(|message| message.frame::<Diagnostics>());
+    let sent: HashMap<u32, _> =
+        frames.flat_map(|frame| frame.rows.iter().map(|row| (row.robot, *row))).collect();
+    entries(messages).into_iter().for_each(|entry| what_if.push(entry));
+    let found = what_if.finish();
+    let fleet = Fleet::new(world::settings(CAPACITY), world::models()).unwrap();
+    assert_eq!(found.recorded_model_hash, fleet.model_hash());
+    assert_ne!(found.recorded_model_hash, found.other_model_hash);
+    assert!(!found.robots.is_empty());
+    let mut others = 0;
+    for robot in &found.robots {
+        let last = sent[&robot.robot];
+        assert_eq!(robot.recorded.scored, last.scored, "{robot:?}");
+        assert_eq!(robot.recorded.mae_w.to_bits(), last.mae_w.to_bits(), "{robot:?}");
+        others += usize::from(robot.recorded.mae_w != robot.other.mae_w);
+    }
+    assert!(others > 0, "{found}");
+}
+
+#[test]
 fn a_killed_worker_and_its_successor_are_both_verified() {
     let mut simulation = Simulation::new(6);
     simulation.run(100);
