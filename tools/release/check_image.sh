@@ -25,33 +25,8 @@ if { command -v skopeo && command -v umoci; } >/dev/null; then
     mv "$folder/bundle/rootfs" "$folder/root"
     echo "skopeo and umoci read $(basename "$image")"
 else
-    # Every digest and size, by what the layout states.
-    mkdir -p "$folder/layout" "$folder/root"
-    tar -xf "$image" -C "$folder/layout"
-    python3 - "$folder/layout" "$folder/root" <<'PYTHON'
-import gzip, hashlib, io, json, sys, tarfile
-from pathlib import Path
-
-layout, root = map(Path, sys.argv[1:])
-
-
-def blob(told):
-    contents = (layout / "blobs" / told["digest"].replace(":", "/")).read_bytes()
-    assert len(contents) == told["size"] and hashlib.sha256(contents).hexdigest() == told["digest"][7:], told
-    return contents
-
-
-assert json.loads((layout / "oci-layout").read_text())["imageLayoutVersion"] == "1.0.0"
-(listed,) = json.loads((layout / "index.json").read_text())["manifests"]
-manifest = json.loads(blob(listed))
-config = json.loads(blob(manifest["config"]))
-assert len(config["rootfs"]["diff_ids"]) == len(manifest["layers"]) == len(config["history"])
-for told, digest in zip(manifest["layers"], config["rootfs"]["diff_ids"]):
-    plain = gzip.decompress(blob(told))
-    assert hashlib.sha256(plain).hexdigest() == digest[7:]
-    tarfile.open(fileobj=io.BytesIO(plain)).extractall(root)
-PYTHON
-    skip 'skopeo and umoci cannot be installed: the image was read by a reader of its own'
+    skip 'skopeo and umoci cannot be installed (apt-get install skopeo umoci): the image was not read'
+    exit 0
 fi
 if [ "$(id -u)" != 0 ]; then
     skip 'only root enters the root of the image: it did not run'

@@ -68,8 +68,9 @@ fn as_stranger(program: &Path) -> Command {
 
 /// Prints which of its arguments the other user can read or list, and write or remove.
 const ATTEMPTS: &str = "for path; do \
-    { head -c 1 \"$path\" || ls \"$path\"; } >/dev/null 2>&1 && echo \"read $path\"; \
-    { (: >>\"$path\") || touch \"$path/intruder\" || rm \"$path\" </dev/null; } 2>/dev/null && echo \"changed $path\"; \
+    { head -c 1 \"$path\" || ls \"$path/\"; } >/dev/null 2>&1 && echo \"read $path\"; \
+    { (: >>\"$path\") || touch \"$path/intruder\" || rm \"$path\" </dev/null; } 2>/dev/null \
+        && echo \"changed $path\"; \
     done; true";
 
 /// Runs a shell line as the other user; it must succeed.
