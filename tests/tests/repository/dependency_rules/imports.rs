@@ -5,6 +5,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+use proc_macro2::{Delimiter, TokenStream, TokenTree};
+
 use super::sources;
 
 /// For each file, the files it imports from, with one of the imported names.
@@ -158,6 +160,7 @@ impl Crate {
     }
 }
 
+#[derive(Default)]
 struct File {
     path: PathBuf,
     /// Names defined by top-level items of the file.
@@ -168,86 +171,99 @@ struct File {
     globs: Vec<Vec<String>>,
     /// Paths used in the code; those of a re-export only if the name is also used here.
     paths: Vec<Vec<String>>,
+    /// Names that are re-exported, with their paths.
+    handed_on: Vec<(String, Vec<String>)>,
+    /// Names in the code, outside of `use`.
+    mentioned: BTreeSet<String>,
 }
 
 impl File {
     fn new(path: PathBuf, text: &str) -> Self {
-        let tokens = without_tests(&tokens(text));
-        let mut file = Self {
-            path,
-            defined: BTreeSet::new(),
-            bound: BTreeMap::new(),
-            globs: Vec::new(),
-            paths: Vec::new(),
+        let mut file = Self { path, ..Self::default() };
+        file.read(text.parse().unwrap(), 0, true);
+        let handed_on = std::mem::take(&mut file.handed_on).into_iter();
+        let used = handed_on.filter(|(name, _)| file.mentioned.contains(name));
+        file.paths.extend(used.map(|(_, path)| path));
+        file
+    }
+
+    /// Reads the file, or what stands within brackets in it, in so many inline modules.
+    fn read(&mut self, tokens: TokenStream, inline: usize, is_top: bool) {
+        let tokens: Vec<TokenTree> = tokens.into_iter().collect();
+        let name_at = |at: usize| match tokens.get(at) {
+            Some(TokenTree::Ident(name)) => Some(name.to_string()),
+            _ => None,
         };
-        let (mut handed_on, mut mentioned) = (Vec::new(), BTreeSet::new());
-        // Brace depth at which each inline module ends.
-        let (mut inline, mut depth) = (Vec::new(), 0usize);
+        let is_path_at = |at: usize| is_colons(&tokens[at.min(tokens.len())..]);
         let mut at = 0;
         while at < tokens.len() {
-            let token = tokens[at].as_str();
-            match token {
-                "{" => depth += 1,
-                "}" => {
-                    depth = depth.saturating_sub(1);
-                    if inline.last() == Some(&depth) {
-                        inline.pop();
+            if is_of_tests(&tokens[at..]) {
+                let ends = |token: &TokenTree| is_punct(token, ';') || is_block(token);
+                at += tokens[at..].iter().position(ends).unwrap_or(tokens.len()) + 1;
+                continue;
+            }
+            if let TokenTree::Group(group) = &tokens[at] {
+                let is_module = at > 1 && name_at(at - 2).as_deref() == Some("mod");
+                self.read(group.stream(), inline + usize::from(is_module), false);
+            }
+            let Some(word) = name_at(at) else {
+                at += 1;
+                continue;
+            };
+            match word.as_str() {
+                "use" if !tokens.get(at + 1).is_some_and(|next| is_punct(next, '<')) => {
+                    let end = tokens[at..].iter().position(|token| is_punct(token, ';')).unwrap();
+                    let before = tokens[..at].last().map(TokenTree::to_string).unwrap_or_default();
+                    let is_public = before == "pub" || before.starts_with('(');
+                    for (path, name) in tree(&tokens[at + 1..at + end]) {
+                        self.import(outward(path, inline), name, is_public, is_top);
                     }
-                }
-                "mod" if tokens.get(at + 2).is_some_and(|next| next == "{") => inline.push(depth),
-                "use" => {
-                    let end = at + tokens[at..].iter().position(|token| token == ";").unwrap();
-                    let public = at > 0 && (tokens[at - 1] == "pub" || tokens[at - 1] == ")");
-                    for (mut path, name) in tree(&tokens[at + 1..end]) {
-                        outward(&mut path, inline.len());
-                        if name == "*" {
-                            file.globs.push(path.clone());
-                            path.push("*".to_owned());
-                        } else if depth == 0 {
-                            file.bound.insert(name.clone(), path.clone());
-                        }
-                        if public {
-                            handed_on.push((name, path));
-                        } else {
-                            file.paths.push(path);
-                        }
-                    }
-                    at = end;
+                    at += end;
                 }
                 "struct" | "enum" | "trait" | "type" | "fn" | "const" | "static" | "union"
-                    if depth == 0 =>
+                    if is_top =>
                 {
-                    let name = tokens.get(at + 1).filter(|name| *name != "_");
-                    file.defined.extend(name.cloned());
+                    self.defined.extend(name_at(at + 1).filter(|name| name != "_"));
                 }
-                "macro_rules" => file.defined.extend(tokens.get(at + 2).cloned()),
-                _ if is_name(token) && (at == 0 || tokens[at - 1] != "::") => {
-                    mentioned.insert(token.to_owned());
-                    let mut path = vec![token.to_owned()];
-                    while tokens.get(at + 1).is_some_and(|next| next == "::")
-                        && tokens.get(at + 2).is_some_and(|next| is_name(next))
+                "macro_rules" => self.defined.extend(name_at(at + 2)),
+                _ if at < 2 || !is_path_at(at - 2) => {
+                    self.mentioned.insert(word.clone());
+                    let mut path = vec![word];
+                    while is_path_at(at + 1)
+                        && let Some(next) = name_at(at + 3)
                     {
-                        path.push(tokens[at + 2].clone());
-                        at += 2;
+                        path.push(next);
+                        at += 3;
                     }
                     if path.len() > 1 {
-                        outward(&mut path, inline.len());
-                        file.paths.push(path);
+                        self.paths.push(outward(path, inline));
                     }
                 }
                 _ => {}
             }
             at += 1;
         }
-        let used = handed_on.into_iter().filter(|(name, _)| mentioned.contains(name));
-        file.paths.extend(used.map(|(_, path)| path));
-        file
+    }
+
+    /// One path of a `use` declaration, and the name that it binds.
+    fn import(&mut self, mut path: Vec<String>, name: String, is_public: bool, is_top: bool) {
+        if name == "*" {
+            self.globs.push(path.clone());
+            path.push("*".to_owned());
+        } else if is_top {
+            self.bound.insert(name.clone(), path.clone());
+        }
+        if is_public {
+            self.handed_on.push((name, path));
+        } else {
+            self.paths.push(path);
+        }
     }
 }
 
-/// Removes as many leading `super` from a path as there are enclosing inline modules: they refer to
+/// The path without as many leading `super` as there are enclosing inline modules: they refer to
 /// this file.
-fn outward(path: &mut Vec<String>, inline: usize) {
+fn outward(mut path: Vec<String>, inline: usize) -> Vec<String> {
     let supers = path.iter().take_while(|part| *part == "super").count();
     if supers > 0 && inline > 0 {
         path.drain(..supers.min(inline));
@@ -255,152 +271,54 @@ fn outward(path: &mut Vec<String>, inline: usize) {
             path.insert(0, "self".to_owned());
         }
     }
+    path
 }
 
 /// Paths of a `use` declaration, each with the name it binds, `*` for a glob.
-fn tree(tokens: &[String]) -> Vec<(Vec<String>, String)> {
-    let (mut prefix, mut at) = (Vec::new(), 0);
-    while at < tokens.len() {
-        match tokens[at].as_str() {
-            "::" => {}
-            "*" => return vec![(prefix, "*".to_owned())],
-            "as" => return vec![(prefix, tokens[at + 1].clone())],
-            "{" => {
-                let inner = &tokens[at + 1..tokens.len() - 1];
-                let branches = split(inner);
-                return branches
-                    .into_iter()
-                    .flat_map(tree)
-                    .map(|(path, name)| {
-                        let own = path.first().is_some_and(|part| part == "self");
-                        let whole: Vec<String> =
-                            prefix.iter().chain(&path[usize::from(own)..]).cloned().collect();
-                        let name = if own && name == "self" {
-                            prefix.last().unwrap().clone()
-                        } else {
-                            name
-                        };
-                        (whole, name)
-                    })
-                    .collect();
+fn tree(tokens: &[TokenTree]) -> Vec<(Vec<String>, String)> {
+    let mut prefix = Vec::new();
+    for (at, token) in tokens.iter().enumerate() {
+        match token {
+            TokenTree::Group(group) => {
+                let inner: Vec<TokenTree> = group.stream().into_iter().collect();
+                let branches = inner.split(|token| is_punct(token, ','));
+                let whole = |(path, name): (Vec<String>, String)| {
+                    let own = path.first().is_some_and(|part| part == "self");
+                    let rest = &path[usize::from(own)..];
+                    let is_prefix = own && name == "self";
+                    let name = if is_prefix { prefix.last().cloned() } else { Some(name) };
+                    ([&prefix, rest].concat(), name.unwrap())
+                };
+                let branches = branches.filter(|branch| !branch.is_empty());
+                return branches.flat_map(tree).map(whole).collect();
             }
-            part => prefix.push(part.to_owned()),
+            TokenTree::Ident(word) if word == "as" => {
+                return vec![(prefix, tokens[at + 1].to_string())];
+            }
+            TokenTree::Ident(word) => prefix.push(word.to_string()),
+            star if is_punct(star, '*') => return vec![(prefix, "*".to_owned())],
+            _ => {}
         }
-        at += 1;
     }
     let name = prefix.last().cloned().unwrap_or_default();
     vec![(prefix, name)]
 }
 
-/// Parts separated by commas outside inner braces.
-fn split(tokens: &[String]) -> Vec<&[String]> {
-    let (mut parts, mut depth, mut from) = (Vec::new(), 0, 0);
-    for (at, token) in tokens.iter().enumerate() {
-        match token.as_str() {
-            "{" => depth += 1,
-            "}" => depth -= 1,
-            "," if depth == 0 => {
-                parts.push(&tokens[from..at]);
-                from = at + 1;
-            }
-            _ => {}
-        }
-    }
-    parts.push(&tokens[from..]);
-    parts.retain(|part| !part.is_empty());
-    parts
+fn is_punct(token: &TokenTree, char: char) -> bool {
+    matches!(token, TokenTree::Punct(punct) if punct.as_char() == char)
 }
 
-fn is_name(token: &str) -> bool {
-    token.starts_with(|c: char| c.is_alphabetic() || c == '_')
+fn is_block(token: &TokenTree) -> bool {
+    matches!(token, TokenTree::Group(group) if group.delimiter() == Delimiter::Brace)
 }
 
-/// Identifiers, `::` and single punctuation characters; no comments, no contents of string and
-/// character literals.
-fn tokens(text: &str) -> Vec<String> {
-    let chars: Vec<char> = text.chars().collect();
-    let (mut tokens, mut at) = (Vec::new(), 0);
-    let text_at = |at: usize, text: &str| {
-        text.chars().enumerate().all(|(i, c)| chars.get(at + i) == Some(&c))
-    };
-    while at < chars.len() {
-        let char = chars[at];
-        if text_at(at, "//") {
-            while at < chars.len() && chars[at] != '\n' {
-                at += 1;
-            }
-        } else if text_at(at, "/*") {
-            while at < chars.len() && !text_at(at, "*/") {
-                at += 1;
-            }
-            at += 2;
-        } else if char == 'r'
-            && (text_at(at + 1, "\"") || text_at(at + 1, "#\"") || text_at(at + 1, "##\""))
-        {
-            let hashes = chars[at + 1..].iter().take_while(|c| **c == '#').count();
-            let end = format!("\"{}", "#".repeat(hashes));
-            at += 2 + hashes;
-            while at < chars.len() && !text_at(at, &end) {
-                at += 1;
-            }
-            at += end.len();
-        } else if char == '"' {
-            at += 1;
-            while at < chars.len() && chars[at] != '"' {
-                at += if chars[at] == '\\' { 2 } else { 1 };
-            }
-            at += 1;
-        } else if char == '\''
-            && (chars.get(at + 1) == Some(&'\\') || chars.get(at + 2) == Some(&'\''))
-        {
-            at += if chars[at + 1] == '\\' { 3 } else { 2 };
-            while at < chars.len() && chars[at] != '\'' {
-                at += 1;
-            }
-            at += 1;
-        } else if char.is_alphanumeric() || char == '_' {
-            let from = at;
-            while at < chars.len() && (chars[at].is_alphanumeric() || chars[at] == '_') {
-                at += 1;
-            }
-            tokens.push(chars[from..at].iter().collect());
-        } else if text_at(at, "::") {
-            tokens.push("::".to_owned());
-            at += 2;
-        } else {
-            if !char.is_whitespace() {
-                tokens.push(char.to_string());
-            }
-            at += 1;
-        }
-    }
-    tokens
+/// True if `::` comes first.
+fn is_colons(tokens: &[TokenTree]) -> bool {
+    tokens.len() > 1 && tokens[..2].iter().all(|token| is_punct(token, ':'))
 }
 
-/// The tokens without items marked `#[cfg(test)]`.
-fn without_tests(tokens: &[String]) -> Vec<String> {
-    let mark = ["#", "[", "cfg", "(", "test", ")", "]"];
-    let (mut kept, mut at) = (Vec::new(), 0);
-    while at < tokens.len() {
-        let marked = tokens[at..].iter().map(String::as_str).take(mark.len()).eq(mark);
-        if !marked {
-            kept.push(tokens[at].clone());
-            at += 1;
-            continue;
-        }
-        let mut depth = 0;
-        while at < tokens.len() {
-            match tokens[at].as_str() {
-                "{" => depth += 1,
-                "}" => depth -= 1,
-                _ => {}
-            }
-            let ends = tokens[at] == "}" || tokens[at] == ";";
-            at += 1;
-            if ends && depth == 0 {
-                break;
-            }
-        }
-    }
-    kept
+/// True if the next item is marked `#[cfg(test)]`.
+fn is_of_tests(tokens: &[TokenTree]) -> bool {
+    let mark = |token: &TokenTree| token.to_string().replace(' ', "") == "[cfg(test)]";
+    tokens.len() > 1 && is_punct(&tokens[0], '#') && mark(&tokens[1])
 }
