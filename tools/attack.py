@@ -37,7 +37,7 @@ ATTACKS = [
      SYSTEM.format("questions"), {"JOULEBUS_ASK_KILLS": "40", "JOULEBUS_ANSWERER_KILLS": "20"}),
     ("recorders", "recorders killed while they write", SYSTEM.format("captures"),
      {"JOULEBUS_KILLS": "10"}),
-    ("memory", "shared memory and its files run out", SYSTEM.format("full_memory"), {}),
+    ("memory", "shared memory and its files run out", SYSTEM.format("full_memory"), {"JOULEBUS_EVERY": "1"}),
     ("links", "hostile and damaged messages between hosts",
      "cargo test --locked -p joulebus-link --bin joulebus-link protocol", {"PROPTEST_CASES": "2000"}),
     ("brokers", "damaged and endless messages of brokers",
