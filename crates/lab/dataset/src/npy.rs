@@ -19,41 +19,23 @@ const VERSION_END: usize = 8;
 /// Reason that a header could not be read.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum HeaderError {
-    /// The source could not be read.
     #[error("the header could not be read: {0}")]
     Io(#[from] io::Error),
-    /// The source ends within the header.
     #[error("the header needs {needed} bytes, found {found}")]
-    Truncated {
-        /// Bytes needed.
-        needed: usize,
-        /// Bytes found.
-        found: usize,
-    },
-    /// Wrong magic bytes.
+    Truncated { needed: usize, found: usize },
     #[error("found no NumPy magic bytes")]
     Magic,
-    /// The header is not that of a plain array.
     #[error("{detail}")]
-    Malformed {
-        /// Offset in the file.
-        at: usize,
-        /// The problem with the expected value.
-        detail: String,
-    },
-    /// The elements are records.
+    Malformed { at: usize, detail: String },
     #[error("found records, allowed: plain elements")]
     Records,
-    /// There are too many dimensions, or too large ones.
     #[error(
         "found shape ({found}), allowed: up to {MAX_DIMENSIONS} dimensions of up to {MAX_DIGITS} \
             digits"
     )]
-    Shape {
-        /// The shape as stated.
-        found: String,
-    },
+    Shape { found: String },
 }
 
 impl HeaderError {

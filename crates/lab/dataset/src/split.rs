@@ -161,46 +161,22 @@ pub struct SplitSummary {
 /// Reason that a split is not possible.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum SplitError {
-    /// A share is out of range.
     #[error(
         "validation = {validation}, held_out = {held_out}: allowed are shares above 0 that come to \
          less than 1 together"
     )]
-    Shares {
-        /// Share for validation.
-        validation: f64,
-        /// Share held out.
-        held_out: f64,
-    },
-    /// A unit to be held out does not exist.
+    Shares { validation: f64, held_out: f64 },
     #[error("found no {by} {wanted:?}, there are {found}")]
-    Unknown {
-        /// Unit of the split.
-        by: By,
-        /// The requested name.
-        wanted: String,
-        /// The available names.
-        found: String,
-    },
-    /// There are too few units.
+    Unknown { by: By, wanted: String, found: String },
     #[error(
         "found {found} {by}s, at least 3 are needed, one a part. Name more recordings, or split by \
          time"
     )]
-    TooFew {
-        /// Unit of the split.
-        by: By,
-        /// Units found.
-        found: usize,
-    },
-    /// Every recording is left out.
+    TooFew { by: By, found: usize },
     #[error("{names}: no other recording is left to learn from. Name fewer, or more recordings")]
-    NothingLeft {
-        /// The names.
-        names: String,
-    },
-    /// The same rows would be used for training and for scoring.
+    NothingLeft { names: String },
     #[error(
         "{}, {} and {}: {rows} rows. A model must not be scored on its training rows: leave one of them out",
         in_two_parts(trials), parts[0], parts[1]
@@ -208,9 +184,7 @@ pub enum SplitError {
     Copy {
         /// The trials. The same name twice if it was given twice.
         trials: [String; 2],
-        /// The part of each.
         parts: [&'static str; 2],
-        /// Number of shared rows.
         rows: usize,
     },
 }

@@ -30,27 +30,16 @@ const BASE_NS: u64 = 1_000_000_000;
 /// Errors of an evaluation.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum EvaluateError {
-    /// No trial was given.
     #[error("found no trial to evaluate. Name one or more files")]
     NoTrial,
-    /// No platform lists the robot's id.
     #[error(
         "robot {robot} belongs to none of the {platforms} platforms. Add its id to one of them"
     )]
-    UnknownRobot {
-        /// The robot.
-        robot: u32,
-        /// Platforms in the settings.
-        platforms: usize,
-    },
-    /// Two trials have the same robot.
+    UnknownRobot { robot: u32, platforms: usize },
     #[error("robot {robot} has more than one trial. Give each trial an id of its own")]
-    DuplicateRobot {
-        /// The robot.
-        robot: u32,
-    },
-    /// The settings are inconsistent, or the models do not match them.
+    DuplicateRobot { robot: u32 },
     #[error(transparent)]
     Settings(#[from] SettingsError),
 }

@@ -19,11 +19,10 @@ pub const MAX_ROWS: NonZeroUsize = NonZeroUsize::new(1 << 21).unwrap();
 /// Errors of making a dataset.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum TrainingDataError {
-    /// The recordings cannot be split as asked.
     #[error(transparent)]
     Split(#[from] SplitError),
-    /// A recording cannot be read again.
     #[error(transparent)]
     Trial(#[from] TrialError),
 }

@@ -9,23 +9,19 @@ use crate::convention::Convention;
 #[non_exhaustive]
 #[allow(missing_docs)] // The messages name the fields.
 pub enum ImportError {
-    /// There are too few readings.
     #[error(
         "the recordings have {found} readings with all inputs of a forecast (command, five \
          readings before it, no gap), at least {allowed} are needed"
     )]
     TooFewRows { found: usize, allowed: usize },
-    /// The power is constant.
     #[error("all {rows} readings are the same. Recordings with changing power are needed")]
     ConstantPower { rows: usize },
-    /// The network forecasts worse than a constant.
     #[error(
         "as stated, the network has R² {r2:.4} on these {rows} readings, no better than a \
          constant, and no other convention fits better. Check the statistics, and that the \
          recordings are of the robots that it was trained for"
     )]
     NothingFits { r2: f64, rows: usize },
-    /// Another convention forecasts clearly better.
     #[error(
         "the recordings contradict the stated convention: R² {stated_r2:.4}, and R² {r2:.4} \
          ({less:.0} % less squared error) with another one. Check what the author of the network \
@@ -38,14 +34,12 @@ pub enum ImportError {
         /// By how much its squared error is smaller, %.
         less: f64,
     },
-    /// Another convention forecasts clearly better, and cannot be run.
     #[error(
         "the recordings contradict the stated convention: R² {stated_r2:.4}, and R² {r2:.4} if the \
          magnitudes are those of normalised velocities. That cannot run here: it needs |v − mean|, \
          and the worker's features hold |v|. Train the network with |v|"
     )]
     CannotRun { stated_r2: f64, r2: f64 },
-    /// The predictor refused the network.
     #[error(transparent)]
     Model(#[from] ModelError),
 }

@@ -15,11 +15,10 @@ pub const CHECK_ROWS: usize = 32;
 /// Errors of exporting a model.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ExportError {
-    /// The model could not be serialised.
     #[error(transparent)]
     Model(#[from] ModelError),
-    /// The Python file's interface has no place for the age of readings.
     #[error(
         "the network reads the age of readings, which `step(v_cmd, w_cmd)` does not get. Export \
          it as .onnx or .npz, or train one without that input: `joulebus train … --features full`"

@@ -40,13 +40,10 @@ pub struct Plain {
 #[non_exhaustive]
 #[allow(missing_docs)] // The messages name the fields.
 pub enum PlainError {
-    /// Larger than any network.
     #[error("the file has {found} bytes, a network has at most {MAX_FILE_BYTES}")]
     TooLarge { found: usize },
-    /// The container is corrupt or of another format.
     #[error("not a complete safetensors file ({0}). Convert the network again")]
     Container(String),
-    /// A part is missing, unknown, or has a value that is not allowed.
     #[error("{part} {found}, allowed: {allowed}")]
     Part { part: String, found: String, allowed: String },
 }

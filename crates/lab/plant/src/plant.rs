@@ -52,7 +52,6 @@ pub struct SimReading {
 #[non_exhaustive]
 #[allow(missing_docs)] // The messages name the fields.
 pub enum PlantError {
-    /// A fault for a robot that does not exist.
     #[error("fault for robot {robot}, the fleet has {robots}: allowed are 0 to {robots} - 1")]
     UnknownRobot { robot: usize, robots: usize },
 }

@@ -72,10 +72,8 @@ pub enum Answer {
 #[non_exhaustive]
 #[allow(missing_docs)] // The messages name the fields.
 pub enum BarrierError {
-    /// The numbers of positions and velocities differ.
     #[error("{points} positions and {wanted} velocities. Give one of each for every robot")]
     Lengths { points: usize, wanted: usize },
-    /// The solver found no solution.
     #[error("no allowed velocities for {robots} robots and {barriers} barriers: {status}")]
     Unsolved { robots: usize, barriers: usize, status: String },
 }

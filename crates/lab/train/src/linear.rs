@@ -117,30 +117,15 @@ impl fmt::Display for Terms {
 /// Errors of a fit.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum LinearError {
-    /// There are fewer rows than coefficients.
     #[error(
         "{terms} needs at least {allowed} rows with every number known, found {found} of {rows}. \
             Name more or longer recordings, or fewer features"
     )]
-    TooFewRows {
-        /// The requested features.
-        terms: Terms,
-        /// Usable rows.
-        found: usize,
-        /// Number of rows.
-        rows: usize,
-        /// Rows needed.
-        allowed: usize,
-    },
-    /// The moments lack a requested feature.
+    TooFewRows { terms: Terms, found: usize, rows: usize, allowed: usize },
     #[error("moments of {taken} were computed, {asked} needs others. Compute them for both")]
-    NotTaken {
-        /// The features of the moments.
-        taken: Terms,
-        /// The requested features.
-        asked: Terms,
-    },
+    NotTaken { taken: Terms, asked: Terms },
 }
 
 /// Reason that a feature has no coefficient.

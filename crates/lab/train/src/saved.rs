@@ -15,23 +15,14 @@ const FORMAT: &str = "joulebus-training-1";
 /// Errors of resuming a run.
 #[derive(Debug, Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ResumeError {
-    /// The run itself cannot begin.
     #[error(transparent)]
     Train(#[from] TrainError),
-    /// The bytes are not a checkpoint.
     #[error("no saved run: {0}")]
     Format(String),
-    /// The checkpoint was made with other data or settings.
     #[error("the saved run has another {what}: {found}, expected {expected}. Start a new run")]
-    Differs {
-        /// The part that differs.
-        what: &'static str,
-        /// The value in the checkpoint.
-        found: String,
-        /// The current value.
-        expected: String,
-    },
+    Differs { what: &'static str, found: String, expected: String },
 }
 
 impl Training {

@@ -45,39 +45,16 @@ impl Found {
 /// Reason that recordings could not be found.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum FindError {
-    /// The operating system reported an error.
     #[error("{path}: {source}", path = path.display())]
-    Io {
-        /// The path.
-        path: PathBuf,
-        /// The operating system's error.
-        source: io::Error,
-    },
-    /// A directory without recordings.
+    Io { path: PathBuf, source: io::Error },
     #[error("{path} holds no recordings (.npy, .csv, .csv.gz, .mcap of joulebus){other}", path = path.display())]
-    NoRecordings {
-        /// The directory.
-        path: PathBuf,
-        /// A file of another program in it, if there is one: what it is, and how it is converted.
-        other: String,
-    },
-    /// A pattern without a match.
+    NoRecordings { path: PathBuf, other: String },
     #[error("nothing matches {pattern:?}: * and ? match within a name, ** matches directories")]
-    NoMatch {
-        /// The pattern.
-        pattern: String,
-    },
-    /// An invalid pattern.
+    NoMatch { pattern: String },
     #[error("the pattern {pattern:?} is invalid at character {at}: {reason}")]
-    Pattern {
-        /// The pattern.
-        pattern: String,
-        /// Position of the error, from 0.
-        at: usize,
-        /// The error.
-        reason: &'static str,
-    },
+    Pattern { pattern: String, at: usize, reason: &'static str },
 }
 
 impl FindError {

@@ -24,17 +24,15 @@ pub struct BagTrial {
 /// Reason that a run of a robot is no trial.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum BagTrialError {
-    /// No reading.
     #[error("no row of it can be used")]
     NoRow,
-    /// It would teach nothing.
     #[error(
         "no reading has a power that it consumes: each is on the charger, or its current is not \
             measured. Record the robot while it drives, with a driver that measures the current"
     )]
     WithoutPower,
-    /// Its rows.
     #[error(transparent)]
     Trial(#[from] TrialError),
 }

@@ -18,25 +18,14 @@ pub struct Playback {
 /// Errors of [`TrialFleet`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum TrialFleetError {
-    /// No trial was given.
     #[error("found no trial. A fleet needs one or more")]
     NoTrial,
-    /// Two trials have the same robot.
     #[error("robot {robot} has more than one trial. Give each trial an id of its own")]
-    DuplicateRobot {
-        /// The robot's id.
-        robot: u32,
-    },
-    /// The ids exceed the largest one.
+    DuplicateRobot { robot: u32 },
     #[error("{trials} robots from id {first} on run past {max}. Start lower", max = u32::MAX)]
-    IdsExhausted {
-        /// The first robot's id.
-        first: u32,
-        /// Number of robots.
-        trials: usize,
-    },
-    /// The frame period is zero.
+    IdsExhausted { first: u32, trials: usize },
     #[error("found a frame period of 0 ns, allowed: 1 ns or more")]
     NoPeriod,
 }

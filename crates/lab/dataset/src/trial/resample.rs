@@ -45,30 +45,14 @@ pub struct Resampled {
 /// Errors of resampling.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum ResampleError {
-    /// The rate is out of range.
     #[error("found a rate of {rate_hz} Hz, allowed: above 0 and up to {MAX_RATE_HZ}")]
-    Rate {
-        /// The rate.
-        rate_hz: f64,
-    },
-    /// More rows than a trial may have.
+    Rate { rate_hz: f64 },
     #[error("{duration_s} s at {rate_hz} Hz are more than {MAX_ROWS} rows. Take a lower rate")]
-    TooManyRows {
-        /// Time from the first row to the last, s.
-        duration_s: f64,
-        /// The rate.
-        rate_hz: f64,
-    },
-    /// Fewer than two rows would be left.
+    TooManyRows { duration_s: f64, rate_hz: f64 },
     #[error("{duration_s} s at {rate_hz} Hz leave fewer than two rows. Take a higher rate")]
-    TooFewRows {
-        /// Time from the first row to the last, s.
-        duration_s: f64,
-        /// The rate.
-        rate_hz: f64,
-    },
-    /// The rows are not a valid trial.
+    TooFewRows { duration_s: f64, rate_hz: f64 },
     #[error(transparent)]
     Trial(#[from] TrialError),
 }

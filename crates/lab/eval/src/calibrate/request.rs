@@ -25,23 +25,18 @@ impl Request {
 /// Errors of calibrating.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum CalibrateError {
-    /// The recordings are too few for two halves.
     #[error(
         "{found} recording of at most ten minutes: at least 2 are needed, one to choose limits on and one to \
          state their rate on"
     )]
-    Recordings {
-        /// Recordings given.
-        found: usize,
-    },
-    /// No reading of the half that states the rate was scored.
+    Recordings { found: usize },
     #[error(
         "the recordings of the half that states the rate are so short that no reading of them was scored: give longer \
          ones, or more"
     )]
     Unscored,
-    /// The recordings are too short for the request.
     #[error(
         "{hours:.2} robot-hours (half of the recordings) cannot show a rate below {at_best:.3} false \
          alarms a robot-hour at {:.0} %, which is {:.1} a day for {robots} robots. Asked for are \
@@ -50,69 +45,29 @@ pub enum CalibrateError {
         100.0 * confidence,
         at_best * f64::from(*robots) * 24.0
     )]
-    Hours {
-        /// Robot-hours of the half that states the rate.
-        hours: f64,
-        /// Rate that can be shown with them.
-        at_best: f64,
-        /// Rate asked for.
-        wanted: f64,
-        /// Robot-hours needed, both halves together.
-        needed_h: f64,
-        /// Robots of the fleet.
-        robots: u32,
-        /// The level.
-        confidence: f64,
-    },
-    /// They raise too many alarms even at the greatest limits.
+    Hours { hours: f64, at_best: f64, wanted: f64, needed_h: f64, robots: u32, confidence: f64 },
     #[error(
         "{alarms} alarms in {hours:.2} robot-hours at the greatest limits, at most {at_most:.3} a robot-hour, and \
          {wanted:.3e} are asked for: are the recordings healthy, and the model trained for this robot?"
     )]
     Alarms {
-        /// Alarms of the half that states the rate.
         alarms: u64,
-        /// Its robot-hours.
         hours: f64,
         /// Their bound.
         at_most: f64,
-        /// Rate asked for.
         wanted: f64,
     },
-    /// An extrapolation leaves the allowed limits.
     #[error(
         "{key}: {reached} recordings reach the tail, which leaves {rate:.3e} false alarms a \
             robot-hour at the greatest limit, {greatest}. Allowed are {wanted:.3e}: give more \
             recordings, or ask for a higher rate"
     )]
-    Tail {
-        /// The limit.
-        key: &'static str,
-        /// Recordings that the tail is fitted to.
-        reached: u64,
-        /// Greatest limit.
-        greatest: f64,
-        /// Rate there.
-        rate: f64,
-        /// Rate allowed.
-        wanted: f64,
-    },
-    /// The half that states the rate contradicts an extrapolation.
+    Tail { key: &'static str, reached: u64, greatest: f64, rate: f64, wanted: f64 },
     #[error(
         "{key}: {found} recordings of the half that states the rate go beyond {limit}, and the tail of the others \
          expects at most {expected:.2}: the tail does not hold. Give more recordings"
     )]
-    Refuted {
-        /// The limit's key.
-        key: &'static str,
-        /// The limit.
-        limit: f64,
-        /// Recordings expected beyond it.
-        expected: f64,
-        /// Recordings found.
-        found: u64,
-    },
-    /// The settings.
+    Refuted { key: &'static str, limit: f64, expected: f64, found: u64 },
     #[error(transparent)]
     Settings(#[from] SettingsError),
 }
