@@ -61,7 +61,6 @@ step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -
 step recorded-models recordings 'python3 tools/recorded_models.py'
 step benchmark recordings 'python3 tools/benchmark.py'
 step energy-tables recordings 'python3 tools/energy_tables.py'
-step online-learning recordings 'cargo bench --locked -p joulebus-eval --bench online_learning'
 step pictures pictures 'tools/pictures.sh'
 step attack - 'python3 tools/attack.py --minutes 5 --seed 7'
 step system-calls strace 'python3 tools/system_calls.py --minutes 5 --seed 7'

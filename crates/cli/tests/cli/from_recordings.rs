@@ -327,7 +327,7 @@ fn a_file_that_no_run_has_written_stays_where_a_result_would_be_put() {
     for command in [
         &["train", "trials", text(&path), "--split", "time", "--out"][..],
         &["model", "export", model, "--to", "npz", "--out"],
-        &["model", "export", model, "--python"],
+        &["model", "export", model, "--to", "python", "--out"],
     ] {
         let refused = output(command.iter().chain(&[text(&out)])).exits(1);
         assert_contains(&stderr(&refused), ["\"precious\""]);

@@ -21,11 +21,10 @@ use std::str::FromStr;
 use joulebus_predictor::LAGS;
 use serde::{Deserialize, Serialize};
 
-use crate::rows::{Dataset, RowOrigin, TrialRows};
+use crate::rows::TrialRows;
 use joulebus_statistics::noise::Noise;
 
-use source::median_s;
-pub use source::{Placed, Source, SourceInfo, describe, digest, group_of, median_period_s};
+pub use source::{Placed, SourceInfo, describe, digest, group_of, median_period_s};
 
 /// Minimum number of rows left out at each cut in time: the lag window and the target reading,
 /// twice.
@@ -217,20 +216,6 @@ pub fn check_copies<'a>(placed: impl IntoIterator<Item = Placed<'a>>) -> Result<
     Ok(())
 }
 
-/// Splits the rows. `description` states their origin. The split is appended to it.
-///
-/// # Errors
-/// [`SplitError`].
-pub fn split(
-    sources: &[Source],
-    split: Split,
-    description: &str,
-) -> Result<(Dataset, SplitSummary), SplitError> {
-    let assignment = assign(sources, split)?;
-    let description = format!("{description}; {}", split.origin());
-    Ok((assignment.dataset(sources, description), assignment.summary))
-}
-
 /// Assigns whole trials, whose parts are given: training, validation, held out. The ranges are of
 /// the trials in this order.
 ///
@@ -266,22 +251,13 @@ pub fn assign_given(parts: [&[SourceInfo]; 3]) -> Result<Assignment, SplitError>
     })
 }
 
-/// Assigns the rows of each source to the parts.
-///
-/// # Errors
-/// [`SplitError`].
-pub fn assign(sources: &[Source], split: Split) -> Result<Assignment, SplitError> {
-    let infos = SourceInfo::of(sources);
-    assign_unread(&infos, split, |at, cuts| Ok(resume(&sources[at].rows, cuts)))
-}
-
-/// Same as [`assign`], for trials whose rows are elsewhere. Only a split in time calls `resume_at`,
-/// once for each trial that has rows. Given its index and its two cuts, it returns where the rows
-/// continue after them ([`resume`]).
+/// Assigns the rows of each source to the parts. Only a split in time calls `resume_at`, once for
+/// each trial that has rows. Given its index and its two cuts, it returns where the rows continue
+/// after them ([`resume`]).
 ///
 /// # Errors
 /// [`SplitError`], and those of `resume_at`.
-pub fn assign_unread<E: From<SplitError>>(
+pub fn assign<E: From<SplitError>>(
     sources: &[SourceInfo],
     split: Split,
     resume_at: impl FnMut(usize, [usize; 2]) -> Result<[usize; 2], E>,
@@ -316,18 +292,6 @@ fn assign_units(sources: &[SourceInfo], split: Split) -> Result<Assignment, Spli
 /// [`SplitError`]: a unit that does not exist, none left for training or validation, or a split in
 /// time, which has no units.
 pub fn assign_leaving_out(
-    sources: &[Source],
-    split: Split,
-    held_out: &[String],
-) -> Result<Assignment, SplitError> {
-    assign_unread_leaving_out(&SourceInfo::of(sources), split, held_out)
-}
-
-/// The same of trials whose rows are elsewhere.
-///
-/// # Errors
-/// As [`assign_leaving_out`].
-pub fn assign_unread_leaving_out(
     sources: &[SourceInfo],
     split: Split,
     held_out: &[String],
@@ -419,28 +383,6 @@ impl Assignment {
             }
         }
         Thinned { ranges, rows }
-    }
-
-    /// The rows themselves.
-    pub fn dataset(&self, sources: &[Source], description: String) -> Dataset {
-        let names = sources.iter().map(|source| (&*source.trial, &*source.robot));
-        let origins = RowOrigin::of_sources(names);
-        let rows = |part: usize| {
-            let sources = sources.iter().zip(&self.ranges).zip(&origins);
-            sources
-                .flat_map(|((source, ranges), origin)| {
-                    let rows = source.rows.rows[ranges[part].clone()].iter();
-                    rows.map(|row| row.of(*origin))
-                })
-                .collect()
-        };
-        Dataset {
-            training: rows(0),
-            validation: rows(1),
-            held_out: rows(2),
-            description,
-            period_s: median_s(sources.iter().map(|source| source.rows.period_s)),
-        }
     }
 }
 

@@ -12,8 +12,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::score::{Contents, Recording};
 use joulebus_dataset::split::{
-    Assignment, SourceInfo, Split, SplitSummary, assign_unread, assign_unread_leaving_out, digest,
-    resume,
+    Assignment, SourceInfo, Split, SplitSummary, assign, assign_leaving_out, digest, resume,
 };
 use joulebus_dataset::trial::{Method, Resample};
 
@@ -257,10 +256,8 @@ fn assigned(
     settings: &AnalysisSettings,
 ) -> Result<Assignment, AnalyzeError> {
     match settings.leave_out.as_slice() {
-        [] => assign_unread(infos, settings.split, |at, cuts| {
-            Ok(resume(&view.contents(at)?.rows, cuts))
-        }),
-        names => Ok(assign_unread_leaving_out(infos, settings.split, names)?),
+        [] => assign(infos, settings.split, |at, cuts| Ok(resume(&view.contents(at)?.rows, cuts))),
+        names => Ok(assign_leaving_out(infos, settings.split, names)?),
     }
 }
 

@@ -1,6 +1,5 @@
 //! Recorded trials through the tick, offline, in one pass: to the bit the results of a live run.
 
-mod live_trial;
 mod report;
 mod series;
 
@@ -17,9 +16,8 @@ use joulebus_wire::{
 };
 use serde::{Deserialize, Serialize};
 
-pub(crate) use live_trial::LiveTrial;
-pub(crate) use report::LivePool;
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
+pub(crate) use report::{LivePool, LiveTrial};
 pub use series::Series;
 
 use joulebus_dataset::trial::{Trial, TrialNotes};

@@ -5,7 +5,6 @@ pub mod analyze;
 pub mod calibrate;
 pub mod energy;
 pub mod evaluate;
-pub mod online_learning;
 mod report;
 pub mod score;
 pub mod training_data;

@@ -5,8 +5,8 @@ use std::num::NonZeroUsize;
 
 use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
 use joulebus_dataset::split::{
-    Assignment, MAX_STRETCH_ROWS, Split, SplitError, SplitSummary, Thinned, assign_given,
-    assign_unread, describe, median_period_s, resume,
+    Assignment, MAX_STRETCH_ROWS, Split, SplitError, SplitSummary, Thinned, assign, assign_given,
+    describe, median_period_s, resume,
 };
 use joulebus_dataset::trial::TrialError;
 
@@ -84,7 +84,7 @@ fn assigned(parts: Parts<'_>) -> Result<Assigned<'_>, TrainingDataError> {
             let resume_at = |at: usize, cuts| -> Result<[usize; 2], TrainingDataError> {
                 Ok(resume(&recordings[at].contents()?.rows, cuts))
             };
-            let assignment = assign_unread(&infos, split, resume_at)?;
+            let assignment = assign(&infos, split, resume_at)?;
             let described = format!("{}; {}", describe(&infos), split.origin());
             Ok((recordings.iter().collect(), assignment, described))
         }

@@ -6,8 +6,7 @@ use std::path::{Path, PathBuf};
 use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::Resample;
 use joulebus_eval::analyze::{
-    Ablation, Analysis, AnalysisSettings, AnalyzeError, Member, Series, TrialAutocorrelation,
-    analyze,
+    Ablation, Analysis, AnalysisSettings, AnalyzeError, Member, Series, analyze,
 };
 use joulebus_predictor::Model;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -25,7 +24,7 @@ use crate::split_unit::SplitUnit;
 #[command(after_help = "Examples:\n  \
     joulebus analyze recordings/\n  \
     joulebus analyze husky/ --split group --leave-out ICE\n  \
-    joulebus analyze trials/*.npy --model gternal.safetensors --lags 30 --each\n  \
+    joulebus analyze trials/*.npy --model gternal.safetensors --lags 30\n  \
     joulebus analyze recordings/ --native --format json\n\n\
     The held series is what a controller at 30 Hz reads, whatever the sensor's own rate. \
     Linear models are fitted by least squares on the training rows of the split, and all models are scored on \
@@ -39,9 +38,6 @@ pub(crate) struct Args {
     /// Lags of the autocorrelation, 1 to 10,000
     #[arg(long, value_name = "N", default_value_t = 10)]
     lags: usize,
-    /// Readings available to the models, 1 to 5
-    #[arg(long, value_name = "N", default_value_t = 5)]
-    window: usize,
     /// A fixed grid, in addition to the native series
     #[arg(
         long,
@@ -73,18 +69,10 @@ pub(crate) struct Args {
     /// meaningless)
     #[arg(long, value_name = "FILE", num_args = 1)]
     model: Vec<PathBuf>,
-    /// Show the autocorrelation of each trial
-    #[arg(long)]
-    each: bool,
 }
 
 #[derive(Debug, Serialize)]
-struct AnalyzeReport {
-    #[serde(flatten)]
-    analysis: Analysis,
-    #[serde(skip)]
-    each: bool,
-}
+struct AnalyzeReport(Analysis);
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let models = args.models()?;
@@ -95,8 +83,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         AnalyzeError::Trial(error) => anyhow::Error::from(error),
         error => UsageError(error.to_string()).into(),
     })?;
-    let each = args.each;
-    report(output, &AnalyzeReport { analysis, each }, implausible)?;
+    report(output, &AnalyzeReport(analysis), implausible)?;
     Ok(Outcome::Done)
 }
 
@@ -104,7 +91,6 @@ impl Args {
     fn settings(&self) -> AnalysisSettings {
         AnalysisSettings {
             lags: self.lags,
-            window: self.window,
             grids: match self.native {
                 true => Vec::new(),
                 false => self.resample.iter().map(|how| self.grid(*how)).collect(),
@@ -116,6 +102,7 @@ impl Args {
                 ..Split::default()
             },
             leave_out: self.leave_out.clone(),
+            ..AnalysisSettings::default()
         }
     }
 
@@ -136,16 +123,16 @@ fn model(path: &Path) -> anyhow::Result<(String, Model)> {
 
 impl fmt::Display for AnalyzeReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Analysis { trials, robots, groups, series, .. } = &self.analysis;
+        let Analysis { trials, robots, groups, series, .. } = &self.0;
         writeln!(out, "{trials} trials of {} robots in {} groups", robots.len(), groups.len())?;
         for series in series {
-            write_series(out, series, self.each)?;
+            write_series(out, series)?;
         }
         Ok(())
     }
 }
 
-fn write_series(out: &mut fmt::Formatter<'_>, series: &Series, each: bool) -> fmt::Result {
+fn write_series(out: &mut fmt::Formatter<'_>, series: &Series) -> fmt::Result {
     let (name, rows, held) = (&series.name, series.rows, 100.0 * series.held_share);
     writeln!(out, "\n{name}: {rows} rows, {held:.1} % of the readings repeat the one before")?;
     let lags = |values: &[Option<f64>]| -> String {
@@ -162,11 +149,6 @@ fn write_series(out: &mut fmt::Formatter<'_>, series: &Series, each: bool) -> fm
         lags(&series.pooled_autocorrelation),
         lags(&series.mean_autocorrelation)
     )?;
-    if each {
-        for TrialAutocorrelation { trial, found, .. } in &series.autocorrelations {
-            writeln!(out, "    {trial}   {}", lags(&found.at_lag))?;
-        }
-    }
     writeln!(out, "  split {}", series.split.name)?;
     if let Some(ablation) = &series.ablation {
         write_ablation(out, ablation)?;

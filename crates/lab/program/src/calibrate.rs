@@ -59,9 +59,6 @@ pub(crate) struct Args {
     /// captures]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     robots: Option<u32>,
-    /// Confidence of the stated rate, 0.5 to 0.999
-    #[arg(long, value_name = "SHARE", default_value_t = 0.95, value_parser = confidence)]
-    confidence: f64,
     /// Allow limits beyond what the recordings show: the file then says so
     #[arg(long)]
     extrapolate: bool,
@@ -69,6 +66,9 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "FILE")]
     out: Option<PathBuf>,
 }
+
+/// Confidence of the stated rate.
+const CONFIDENCE: f64 = 0.95;
 
 #[derive(Debug, Serialize)]
 struct CalibrateReport {
@@ -108,7 +108,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let request = Request {
         fleet_per_h: args.false_alarms,
         robots,
-        confidence: args.confidence,
+        confidence: CONFIDENCE,
         extrapolate: args.extrapolate,
     };
     let found = calibrate(config.settings(), place, &model, &trials, &request);
@@ -269,15 +269,6 @@ fn rate(text: &str) -> Result<f64, String> {
     };
     let number: f64 = number.parse().map_err(|_| refused())?;
     if number > 0.0 && number <= 1e6 { Ok(number / hours) } else { Err(refused()) }
-}
-
-fn confidence(text: &str) -> Result<f64, String> {
-    let share: f64 = text.parse().map_err(|_| "not a number".to_owned())?;
-    if (0.5..=0.999).contains(&share) {
-        Ok(share)
-    } else {
-        Err("allowed is 0.5 to 0.999".to_owned())
-    }
 }
 
 impl fmt::Display for CalibrateReport {

@@ -49,13 +49,18 @@ pub(crate) struct Args {
     /// A model file, for all platforms [default: as in the config]
     #[arg(long, value_name = "FILE")]
     model: Option<PathBuf>,
+    /// Also score the energy of the next 1 to 300 s, as far as the recordings reach. The robots run
+    /// one after the other, as one fleet that learns from each
+    #[arg(long)]
+    energy: bool,
     #[command(flatten)]
     references: ReferenceArguments,
 }
 
 impl Args {
     pub(crate) fn options(&self) -> anyhow::Result<Options> {
-        Ok(Options { references: self.references.read()?, ..self.asked.options()? })
+        let (references, energy) = (self.references.read()?, self.energy);
+        Ok(Options { references, energy, ..self.asked.options()? })
     }
 }
 

@@ -2,7 +2,7 @@
 
 mod bag;
 mod capture;
-mod options;
+mod mapping;
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -21,20 +21,18 @@ use serde::Serialize;
 use crate::judgement::{self, AcceptArguments, Judged};
 use crate::recordings::ColumnArguments;
 use bag::BagRead;
-use options::ImportArguments;
 
 /// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a
 /// capture
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus import bag_0.mcap -o trials/ --current discharge-positive\n  \
-    joulebus import bag_0.mcap -o robot.csv.gz --battery /r1/battery --command /r1/cmd_vel\n  \
     joulebus import bag/ -o trials/ --mapping mapping.toml\n  \
     joulebus import trials/*.csv.gz -o trials.mcap\n  \
     joulebus import captures/fleet.mcap -o trials/\n\n\
     A bag of rosbag2 is an .mcap file, or a folder with the files of one bag. In Python, \
     joulebus.read_bag also reads .db3 files and bags of ROS 1. From a bag, the verb reads \
-    sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and nav_msgs/Odometry, encoded as cdr. Without options every \
+    sensor_msgs/BatteryState, geometry_msgs/Twist, TwistStamped and nav_msgs/Odometry, encoded as cdr. Without a mapping every \
     battery topic is a robot. From a capture of joulebus, it reads the samples of each robot. Data \
     that the file does not have is missing in the result, never 0. Unusable data is named and \
     counted.\n\
@@ -64,16 +62,13 @@ pub(crate) struct Args {
     /// A capture (.mcap), a dataset (.csv, .csv.gz) or a directory
     #[arg(short, long, value_name = "PATH")]
     out: PathBuf,
-    #[command(flatten)]
-    options: ImportArguments,
+    /// A TOML file with the mapping of each robot [default: each battery topic is a robot]
+    #[arg(long, value_name = "FILE")]
+    mapping: Option<PathBuf>,
     #[command(flatten)]
     columns: ColumnArguments,
     #[command(flatten)]
     accept: AcceptArguments,
-    /// Id in a capture of the first robot without one, from which the others are numbered on
-    /// [default: the lowest of the config]
-    #[arg(long, value_name = "ID")]
-    first_robot: Option<u32>,
     /// Fleet whose config goes into a capture
     #[command(flatten)]
     config: ConfigFile,
@@ -127,7 +122,7 @@ struct Written {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     check_out(&args.out)?;
-    let mapping = args.options.mapping(args.columns.current)?;
+    let mapping = mapping::mapping(args.mapping.as_deref(), args.columns.current)?;
     let mut recordings = Vec::new();
     let mut sources = Vec::new();
     for file in &args.files {
@@ -269,7 +264,7 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
     let name = args.out.to_string_lossy();
     if ends_in(&args.out, "mcap") {
         let config = args.config.load()?;
-        let written = capture::write(&args.out, &config, args.first_robot, recordings)?;
+        let written = capture::write(&args.out, &config, recordings)?;
         return Ok(vec![written]);
     }
     let is_dataset = ends_in(&args.out, "csv") || ends_in(&args.out, "csv.gz");

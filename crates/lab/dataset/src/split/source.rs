@@ -1,39 +1,10 @@
 //! Trials with the names of their units.
 
-use rayon::prelude::*;
 use sha2::{Digest as _, Sha256};
 
-use crate::rows::{TrialRows, trial_rows};
-use crate::trial::Trial;
+use crate::rows::TrialRows;
 
-/// A trial's rows with the names of its units.
-#[derive(Debug, Clone)]
-pub struct Source {
-    /// Name of the trial: its file.
-    pub trial: String,
-    /// Name of the robot.
-    pub robot: String,
-    /// Name of the group: [`group_of`] its file.
-    pub group: String,
-    /// The trial's rows.
-    pub rows: TrialRows,
-}
-
-impl Source {
-    /// A trial, with names derived from its file. Robots that share a file belong to one group.
-    pub fn new(trial: &Trial) -> Self {
-        let file = trial.path().file_name().and_then(|name| name.to_str());
-        let file = file.unwrap_or_default();
-        Self {
-            trial: trial.path().display().to_string(),
-            robot: trial.robot_name().unwrap_or(file).to_owned(),
-            group: group_of(file),
-            rows: trial_rows(trial),
-        }
-    }
-}
-
-/// The properties of a trial that a split needs: a [`Source`] without its rows.
+/// The properties of a trial that a split needs.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SourceInfo {
     /// Name of the trial: its file.
@@ -48,26 +19,6 @@ pub struct SourceInfo {
     pub digest: [u8; 32],
     /// Period of the samples, s.
     pub period_s: f32,
-}
-
-impl From<&Source> for SourceInfo {
-    fn from(source: &Source) -> Self {
-        Self {
-            trial: source.trial.clone(),
-            robot: source.robot.clone(),
-            group: source.group.clone(),
-            rows: source.rows.rows.len(),
-            digest: digest(&source.rows),
-            period_s: source.rows.period_s,
-        }
-    }
-}
-
-impl SourceInfo {
-    /// The information of each source, in their order.
-    pub fn of(sources: &[Source]) -> Vec<Self> {
-        sources.par_iter().map(Self::from).collect()
-    }
 }
 
 /// A trial in one of several parts that must not share a row.
@@ -126,11 +77,7 @@ pub fn describe(sources: &[SourceInfo]) -> String {
 
 /// The median period of some recordings, s. 0 without any.
 pub fn median_period_s(sources: &[SourceInfo]) -> f32 {
-    median_s(sources.iter().map(|source| source.period_s))
-}
-
-pub(super) fn median_s(periods_s: impl Iterator<Item = f32>) -> f32 {
-    let mut periods_s: Vec<f32> = periods_s.collect();
+    let mut periods_s: Vec<f32> = sources.iter().map(|source| source.period_s).collect();
     periods_s.sort_by(f32::total_cmp);
     periods_s.get(periods_s.len() / 2).copied().unwrap_or(0.0)
 }

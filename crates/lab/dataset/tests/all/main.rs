@@ -4,5 +4,6 @@
 mod altered;
 mod datasets;
 mod rows;
+mod sources;
 mod trained_rows;
 mod trial;

@@ -2,15 +2,16 @@
 
 use std::collections::HashSet;
 
-use joulebus_dataset::rows::Row;
-use joulebus_dataset::rows::{sample_rows, write_rows};
+use joulebus_dataset::rows::{Dataset, Row, sample_rows, write_rows};
 use joulebus_dataset::split::{
-    By, PAUSE_ROWS, Source, Split, SplitError, assign, assign_leaving_out, group_of, split,
+    By, PAUSE_ROWS, Split, SplitError, SplitSummary, assign_leaving_out, group_of,
 };
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
 use joulebus_testkit::assert_contains;
 use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
+
+use super::sources::{Source, assign, dataset, infos};
 
 const PERIOD_NS: u64 = 33_000_000;
 
@@ -40,6 +41,11 @@ fn gaps_missing_readings_and_times_that_do_not_advance_empty_the_window() {
     assert_eq!(rows(&still), [4], "the step after it is two periods long");
     assert_eq!(sample_rows(&late, PERIOD_NS).without_window, 8);
     assert!(rows(&whole[..5]).is_empty(), "a full window, but no reading after it");
+}
+
+fn split(sources: &[Source], wanted: Split) -> Result<(Dataset, SplitSummary), SplitError> {
+    let assignment = assign(sources, wanted)?;
+    Ok((dataset(sources, &assignment), assignment.summary))
 }
 
 fn sources(trials: usize, rows: usize) -> Vec<Source> {
@@ -80,7 +86,7 @@ fn a_duplicate_recording_is_never_both_trained_and_scored_on() {
     for by in [By::Trial, By::Robot, By::Group, By::Time] {
         for seed in 0..20 {
             let wanted = Split { by, seed, ..Split::default() };
-            match split(&sources, wanted, "x") {
+            match split(&sources, wanted) {
                 Ok((dataset, _)) => {
                     let [training, validation, held_out] =
                         [&dataset.training, &dataset.validation, &dataset.held_out]
@@ -101,7 +107,7 @@ fn a_duplicate_recording_is_never_both_trained_and_scored_on() {
     }
     assert!((1..60).contains(&refused), "{refused} of 60");
     let wanted = Split { by: By::Group, ..Split::default() };
-    let error = assign_leaving_out(&sources, wanted, &["g2".to_owned()]).unwrap_err();
+    let error = assign_leaving_out(&infos(&sources), wanted, &["g2".to_owned()]).unwrap_err();
     let text = error.to_string();
     assert_contains(&text, "t2 and copy | held out | 80 rows | leave one of them out".split(" | "));
 }
@@ -123,7 +129,7 @@ proptest! {
     ) {
         let sources = sources(trials, 20);
         let wanted = Split { by, validation, held_out, seed };
-        let (dataset, summary) = split(&sources, wanted, "x").expect("three units and more");
+        let (dataset, summary) = split(&sources, wanted).expect("three units and more");
         let unit = |trial: usize| match by {
             By::Robot => trial % 4,
             By::Group => trial % 3,
@@ -140,7 +146,7 @@ proptest! {
         prop_assert!(found.iter().all(|units| !units.is_empty()));
         prop_assert_eq!(parts.map(Vec::len), summary.rows);
         prop_assert_eq!(summary.rows.iter().sum::<usize>(), trials * 20);
-        let (again, _) = split(&sources, wanted, "x").expect("as before");
+        let (again, _) = split(&sources, wanted).expect("as before");
         prop_assert_eq!(again.sha256(FeatureSet::Freshness), dataset.sha256(FeatureSet::Freshness), "the same seed gives the same parts");
     }
 
@@ -148,7 +154,7 @@ proptest! {
     fn parts_cut_in_time_share_no_reading(rows in 40_usize..200, validation in 0.05_f64..0.4) {
         let sources = sources(3, rows);
         let wanted = Split { by: By::Time, validation, ..Split::default() };
-        let (dataset, summary) = split(&sources, wanted, "x").expect("time needs no units");
+        let (dataset, summary) = split(&sources, wanted).expect("time needs no units");
         let readings = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<u32> {
             rows.iter()
                 .flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]))
@@ -186,7 +192,7 @@ proptest! {
     ) {
         let source = held_source(rows, hold);
         let wanted = Split { by: By::Time, validation, ..Split::default() };
-        let (dataset, summary) = split(std::slice::from_ref(&source), wanted, "x").expect("time needs no units");
+        let (dataset, summary) = split(std::slice::from_ref(&source), wanted).expect("time needs no units");
         let readings = |rows: &[joulebus_dataset::rows::Row]| -> HashSet<u32> {
             let readings = rows.iter().flat_map(|row| row.features[6..FEATURES].iter().chain([&row.target_w]));
             readings.map(|power_w| power_w.to_bits()).collect()
@@ -214,7 +220,7 @@ proptest! {
             (part.trial, part.robot) = ("long".to_owned(), "r1".to_owned());
         }
         let wanted = Split { by: By::Time, validation, ..Split::default() };
-        let (dataset, summary) = split(&parts, wanted, "x").expect("time needs no units");
+        let (dataset, summary) = split(&parts, wanted).expect("time needs no units");
         let ends = |rows: &[joulebus_dataset::rows::Row]| {
             let readings = || rows.iter().map(|row| row.target_w);
             (readings().fold(f32::INFINITY, f32::min), readings().fold(f32::NEG_INFINITY, f32::max))
@@ -229,7 +235,7 @@ proptest! {
 
 #[test]
 fn rows_are_exported_as_arrays_of_single_precision() {
-    let (dataset, _) = split(&sources(6, 20), Split::default(), "x").expect("six trials");
+    let (dataset, _) = split(&sources(6, 20), Split::default()).expect("six trials");
     let folder = tempfile::tempdir().expect("a temporary directory");
     let folder = folder.path().join("rows");
     write_rows(&folder, &dataset).expect("it can be written");
@@ -268,7 +274,7 @@ fn only_units_named_are_held_out() {
     let sources = sources(12, 20);
     let wanted = Split { by: By::Group, ..Split::default() };
     let assignment =
-        assign_leaving_out(&sources, wanted, &["g1".to_owned()]).expect("three groups");
+        assign_leaving_out(&infos(&sources), wanted, &["g1".to_owned()]).expect("three groups");
     for (source, ranges) in sources.iter().zip(&assignment.ranges) {
         let held_out = source.group == "g1";
         assert_eq!(!ranges[2].is_empty(), held_out, "{}", source.group);
@@ -276,18 +282,19 @@ fn only_units_named_are_held_out() {
     }
     assert_eq!(assignment.summary.rows.iter().sum::<usize>(), 12 * 20);
     assert_eq!(assignment.summary.held_out, ["g1"]);
-    let refused = assign_leaving_out(&sources, wanted, &["g9".to_owned()]).expect_err("no g9");
+    let refused =
+        assign_leaving_out(&infos(&sources), wanted, &["g9".to_owned()]).expect_err("no g9");
     assert!(refused.to_string().contains("g0, g1, g2"), "{refused}");
 }
 
 #[test]
 fn shares_and_units_that_leave_a_part_empty_are_refused() {
     let sources = sources(2, 20);
-    let error = split(&sources, Split::default(), "x").expect_err("two trials");
+    let error = split(&sources, Split::default()).expect_err("two trials");
     assert_eq!(error, SplitError::TooFew { by: By::Trial, found: 2 });
     for (validation, held_out) in [(0.0, 0.2), (0.2, 0.0), (0.5, 0.5), (f64::NAN, 0.2)] {
         let wanted = Split { validation, held_out, ..Split::default() };
-        let error = split(&sources, wanted, "x").expect_err("no such shares");
+        let error = split(&sources, wanted).expect_err("no such shares");
         assert!(error.to_string().contains("come to less than 1"), "{error}");
     }
 }

@@ -3,12 +3,14 @@
 use std::ops::Range;
 
 use joulebus_dataset::rows::{Dataset, Row, TrialRows, sample_rows};
-use joulebus_dataset::split::{By, PAUSE_ROWS, Source, Split, assign};
+use joulebus_dataset::split::{By, PAUSE_ROWS, Split};
 use joulebus_dataset::trained_rows::{is_trained_on, is_untold, trained_rows};
 use joulebus_predictor::training::TrainedRows;
 use joulebus_statistics::noise::Noise;
 use joulebus_wire::Sample;
 use proptest::prelude::*;
+
+use super::sources::{self, Source, assign};
 
 const PERIOD_NS: u64 = 33_000_000;
 
@@ -138,7 +140,7 @@ proptest! {
         let sources: Vec<Source> = (0..).zip(&lengths).map(source).collect();
         let wanted = Split { by: By::Time, ..Split::default() };
         let assignment = assign(&sources, wanted).unwrap();
-        let dataset = assignment.dataset(&sources, String::new());
+        let dataset = sources::dataset(&sources, &assignment);
         let trained = trained_rows(&dataset).unwrap();
         prop_assert_eq!(trained.rows, (dataset.training.len() + dataset.validation.len()) as u64);
         for (source, [training, validation, held_out]) in sources.iter().zip(&assignment.ranges) {

@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 use joulebus_fleet::{Learned, Scores};
+use joulebus_wire::Quality;
 use serde::Serialize;
 
-use super::{Evaluation, Forecast, LiveTrial};
+use super::{Evaluation, Forecast, RobotEvaluation};
 
 /// An evaluation without its steps. `Display` is a table. Unknown numbers are null in JSON.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -96,7 +97,7 @@ impl Evaluation {
     pub fn report(&self) -> EvaluationReport {
         let mut pool = LivePool::default();
         let robots = self.robots.iter();
-        robots.for_each(|robot| pool.push(&LiveTrial::from(robot)));
+        robots.for_each(|robot| pool.push(robot.into()));
         pool.report()
     }
 }
@@ -122,22 +123,22 @@ struct Pooled {
 
 impl LivePool {
     /// Adds the next trial.
-    pub(crate) fn push(&mut self, trial: &LiveTrial) {
-        let key = (trial.platform.clone(), trial.model.clone());
+    pub(crate) fn push(&mut self, LiveTrial { report, scored_readings_w }: LiveTrial) {
+        let key = (report.platform.clone(), report.model.clone());
         let pooled = self.platforms.entry(key).or_insert_with(|| Pooled {
-            forecast: trial.forecast,
+            forecast: report.forecast,
             trials: 0,
             accepted: 0,
             dropped: 0,
             scores: Scores::default(),
         });
         pooled.trials += 1;
-        pooled.accepted += trial.accepted;
-        pooled.dropped += trial.dropped.values().sum::<u64>();
-        for [reading_w, residual_w, previous_w] in &trial.scored_readings_w {
-            pooled.scores.observe(*reading_w, *residual_w, *previous_w);
+        pooled.accepted += report.accepted;
+        pooled.dropped += report.dropped.values().sum::<u64>();
+        for [reading_w, residual_w, previous_w] in scored_readings_w {
+            pooled.scores.observe(reading_w, residual_w, previous_w);
         }
-        self.robots.push(robot_report(trial));
+        self.robots.push(report);
     }
 
     /// Adds trials of other platforms or models.
@@ -167,23 +168,52 @@ fn platform_report(((platform, model), pooled): ((String, String), Pooled)) -> P
     }
 }
 
-fn robot_report(trial: &LiveTrial) -> RobotReport {
-    RobotReport {
-        robot: trial.robot,
-        file: trial.file.clone(),
-        platform: trial.platform.clone(),
-        model: trial.model.clone(),
-        forecast: trial.forecast,
-        notes: trial.notes.clone(),
-        accepted: trial.accepted,
-        dropped: trial.dropped.clone(),
-        qualities: trial.qualities.clone(),
-        scores: (&trial.scores).into(),
-        coverage: trial.coverage,
-        learned: trial.learned,
-        drawn_j: trial.drawn_uj as f64 / 1e6,
-        metered_s: trial.metered_ns as f64 / 1e9,
-        unmetered_s: trial.unmetered_ns as f64 / 1e9,
+/// The live path of a trial without its steps. All trials of a platform are pooled reading by
+/// reading, so that the sums do not depend on how many are evaluated at once.
+#[derive(Debug, Clone, PartialEq)]
+pub(crate) struct LiveTrial {
+    report: RobotReport,
+    /// For each scored reading, in order: the reading, the residual of its forecast, and the
+    /// previous reading, W.
+    scored_readings_w: Vec<[f32; 3]>,
+}
+
+impl From<&RobotEvaluation> for LiveTrial {
+    fn from(robot: &RobotEvaluation) -> Self {
+        let mut qualities = BTreeMap::new();
+        for step in &robot.steps {
+            *qualities.entry(quality_name(step.quality)).or_default() += 1;
+        }
+        let drops = robot.drops.iter();
+        let report = RobotReport {
+            robot: robot.robot,
+            file: robot.path.display().to_string(),
+            platform: robot.platform.clone(),
+            model: robot.model.clone(),
+            forecast: robot.forecast,
+            notes: robot.notes.to_string(),
+            accepted: robot.accepted,
+            dropped: drops.map(|(reason, count)| (reason.name().to_owned(), count)).collect(),
+            qualities,
+            scores: (&robot.scores).into(),
+            coverage: robot.coverage,
+            learned: robot.learned,
+            drawn_j: robot.ledger.drawn_uj as f64 / 1e6,
+            metered_s: robot.ledger.metered_ns as f64 / 1e9,
+            unmetered_s: robot.ledger.unmetered_ns as f64 / 1e9,
+        };
+        Self { report, scored_readings_w: robot.scored_readings_w().collect() }
+    }
+}
+
+fn quality_name(quality: Quality) -> String {
+    match quality {
+        Quality::Fresh => "Fresh".to_owned(),
+        Quality::Held => "Held".to_owned(),
+        Quality::Warmup { .. } => "Warmup".to_owned(),
+        Quality::OpenLoop { .. } => "OpenLoop".to_owned(),
+        Quality::Invalid(reason) => format!("Invalid({})", reason.name()),
+        _ => "Unknown".to_owned(),
     }
 }
 

@@ -1,47 +1,29 @@
 //! The common inputs of all parts of an evaluation: everything known before the recordings are run.
 
 use joulebus_predictor::Model;
-use joulebus_settings::FleetSettings;
-use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_train::linear::LinearReport;
 use serde::Serialize;
 
 use super::cell::Names;
 use super::design::{DesignReport, Lines};
 use super::members::Member;
+use super::report::ModelReport;
 use super::tallied::Listed;
-use super::trained_on::{Recognised, ScoredRows, TrainedOn};
+use super::trained_on::{Recognised, ScoredRows};
 use super::{Options, ScoreError, Subject};
 use crate::evaluate::Forecast;
 
 /// An evaluation without its sums.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug)]
 pub(super) struct Common {
     pub(super) platform: String,
-    /// Hash of the settings, the platform's among them.
-    settings: u64,
-    pub(super) models: Vec<Evaluated>,
+    pub(super) models: Vec<ModelReport>,
     pub(super) scored_rows: ScoredRows,
     pub(super) untold_rows: usize,
     pub(super) design: DesignReport,
     pub(super) baselines: Vec<BaselineReport>,
     pub(super) names: Names,
-    pub(super) horizons: Vec<usize>,
-    origins_every: usize,
-    pub(super) energy: bool,
-    bootstrap: Bootstrap,
     pub(super) recordings: Vec<Listed>,
-}
-
-/// A model before the energy of its forecasts is known.
-#[derive(Debug, Clone, PartialEq)]
-pub(super) struct Evaluated {
-    pub(super) name: String,
-    pub(super) hash: String,
-    pub(super) forecast: Forecast,
-    pub(super) members: Vec<String>,
-    pub(super) training_data: Option<String>,
-    pub(super) trained_on: Option<TrainedOn>,
 }
 
 /// A linear baseline.
@@ -63,58 +45,37 @@ impl Common {
     ) -> Result<Self, ScoreError> {
         let Subject { models, recordings, design, .. } = subject;
         let names = names(subject, options);
-        let settings = FleetSettings {
-            platforms: subject.platform.into_iter().cloned().collect(),
-            ..subject.settings.clone()
-        };
         let platform = subject.platform.map(|platform| platform.name.clone());
         let evaluated = 0..models.len();
         let recognised = Recognised::new(recordings, models)?;
         Ok(Self {
             platform: platform.unwrap_or_else(|| "recorded".to_owned()),
-            settings: settings.fingerprint(),
-            models: evaluated.map(|at| Evaluated::new(at, subject, &names, &recognised)).collect(),
+            models: evaluated.map(|at| model(at, subject, &names, &recognised)).collect(),
             scored_rows: design.scored_rows(&recognised),
             design: design.report(),
             untold_rows: design.untold_rows(&recognised),
             baselines: baselines(options, lines),
             names,
-            horizons: options.horizons.clone(),
-            origins_every: options.origins_every,
-            energy: options.energy,
-            bootstrap: options.bootstrap,
             recordings: recordings.iter().map(Listed::new).collect(),
         })
     }
-
-    /// The options that tables depend on.
-    pub(super) fn options(&self) -> Options {
-        Options {
-            horizons: self.horizons.clone(),
-            origins_every: self.origins_every,
-            energy: self.energy,
-            baselines: Vec::new(),
-            references: Vec::new(),
-            bootstrap: self.bootstrap,
-        }
-    }
 }
 
-impl Evaluated {
-    fn new(at: usize, subject: Subject<'_>, names: &Names, recognised: &Recognised) -> Self {
-        let model = &subject.models[at];
-        let card = match model {
-            Model::Network(network) => Some(network.card()),
-            Model::Persistence(_) => None,
-        };
-        Self {
-            name: model.name().to_owned(),
-            hash: format!("{:016x}", model.hash()),
-            forecast: subject.forecast(model),
-            members: members(at, subject, names),
-            training_data: card.map(|card| card.training_data.clone()),
-            trained_on: subject.design.trained_on(recognised, at),
-        }
+/// A model before its forecasts of energy are scored.
+fn model(at: usize, subject: Subject<'_>, names: &Names, recognised: &Recognised) -> ModelReport {
+    let model = &subject.models[at];
+    let card = match model {
+        Model::Network(network) => Some(network.card()),
+        Model::Persistence(_) => None,
+    };
+    ModelReport {
+        name: model.name().to_owned(),
+        hash: format!("{:016x}", model.hash()),
+        forecast: subject.forecast(model),
+        members: members(at, subject, names),
+        training_data: card.map(|card| card.training_data.clone()),
+        trained_on: subject.design.trained_on(recognised, at),
+        energy: None,
     }
 }
 

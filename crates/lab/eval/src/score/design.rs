@@ -9,8 +9,7 @@ use super::references::{Differences, Learned};
 use super::{Recording, Reference, ScoreError, each, sources};
 use joulebus_dataset::rows::TrialRows;
 use joulebus_dataset::split::{
-    Assignment, By, PAUSE_ROWS, SourceInfo, Split, assign_unread, assign_unread_leaving_out,
-    left_out, resume,
+    Assignment, By, PAUSE_ROWS, SourceInfo, Split, assign, assign_leaving_out, left_out, resume,
 };
 use joulebus_train::linear::{KnownFeatures, Linear, Moments, Terms};
 
@@ -53,7 +52,7 @@ impl Design {
     /// Evaluates the held-out part of a split. Baselines are fitted on all other rows, the
     /// validation part included, because they need no early stopping.
     ///
-    /// The parts are those of [`assign_unread`]: a model trained with the same split of the same
+    /// The parts are those of [`assign`]: a model trained with the same split of the same
     /// recordings has not seen the evaluated rows.
     ///
     /// # Errors
@@ -64,7 +63,7 @@ impl Design {
             let contents = recordings[at].contents()?;
             Ok(resume(&contents.rows, cuts))
         };
-        let assignment = assign_unread(&infos, wanted, resume_at)?;
+        let assignment = assign(&infos, wanted, resume_at)?;
         Ok(Self::assigned(assignment, wanted))
     }
 
@@ -77,7 +76,7 @@ impl Design {
         wanted: Split,
         names: &[String],
     ) -> Result<Self, ScoreError> {
-        let assignment = assign_unread_leaving_out(&infos(recordings), wanted, names)?;
+        let assignment = assign_leaving_out(&infos(recordings), wanted, names)?;
         Ok(Self::assigned(assignment, wanted))
     }
 

@@ -5,8 +5,9 @@ use std::io;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::Options;
 use super::cell::{Cell, HorizonCell, cell, horizon_cell};
-use super::common::{BaselineReport, Common, Evaluated};
+use super::common::{BaselineReport, Common};
 use super::design::DesignReport;
 use super::tallied::{Set, Tallied};
 use super::trained_on::{ScoredRows, TrainedOn, warnings};
@@ -77,7 +78,7 @@ pub struct ModelReport {
     /// does not state them.
     pub trained_on: Option<TrainedOn>,
     /// Errors of its energy forecasts of the evaluated rows. `None` if not
-    /// [asked for](super::Options::energy).
+    /// [asked for](Options::energy).
     pub energy: Option<EnergyErrors>,
 }
 
@@ -86,11 +87,13 @@ pub struct ModelReport {
 /// # Errors
 /// Residuals cannot be read from their temporary file.
 pub(super) fn report(
-    common: &Common,
+    common: Common,
+    options: &Options,
     [tallied, apart]: [&Tallied; 2],
     energy: &[EnergyScores],
 ) -> io::Result<ScoreReport> {
-    let (names, options) = (&common.names, &common.options());
+    let Common { mut models, names, .. } = common;
+    let names = &names;
     let tables = |sets: Vec<Set>| -> io::Result<(Vec<Cell>, Vec<HorizonCell>)> {
         let sets = if sets.len() > 1 { sets } else { Vec::new() };
         let of = |set: &Set| {
@@ -100,9 +103,9 @@ pub(super) fn report(
         let found: io::Result<Vec<_>> = sets.par_iter().map(of).collect();
         Ok(found?.into_iter().unzip())
     };
-    let mut energy = energy.iter().map(EnergyScores::errors);
-    let models = common.models.iter();
-    let models: Vec<ModelReport> = models.map(|model| of_model(model, energy.next())).collect();
+    for (model, scores) in models.iter_mut().zip(energy) {
+        model.energy = Some(scores.errors());
+    }
     let stated = models.iter();
     let stated = stated.map(|model| (model.name.as_str(), model.trained_on));
     let all = tallied.all();
@@ -111,13 +114,13 @@ pub(super) fn report(
     let (trials, open_loop_trials) = tables(tallied.trials())?;
     let trained_on = (apart.rows() > 0).then(|| cell(apart, &apart.all(), names, options));
     Ok(ScoreReport {
-        platform: common.platform.clone(),
+        platform: common.platform,
         scored_rows: common.scored_rows,
         untold_rows: common.untold_rows,
         warnings: warnings(stated, common.scored_rows),
         models,
-        design: common.design.clone(),
-        baselines: common.baselines.clone(),
+        design: common.design,
+        baselines: common.baselines,
         bootstrap: options.bootstrap,
         period_s: tallied.period_s(),
         all: cell(tallied, &all, names, options)?,
@@ -131,16 +134,4 @@ pub(super) fn report(
         open_loop_robots,
         open_loop_trials,
     })
-}
-
-fn of_model(model: &Evaluated, energy: Option<EnergyErrors>) -> ModelReport {
-    ModelReport {
-        name: model.name.clone(),
-        hash: model.hash.clone(),
-        forecast: model.forecast,
-        members: model.members.clone(),
-        training_data: model.training_data.clone(),
-        trained_on: model.trained_on,
-        energy,
-    }
 }

@@ -95,7 +95,7 @@ pub fn score_watched(
 pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<Reported, ScoreError> {
     let watch = |_| ControlFlow::Continue(());
     let mut live = vec![LivePool::default(); subject.models.len()];
-    let take = |model: usize, trial: LiveTrial| live[model].push(&trial);
+    let take = |model: usize, trial: LiveTrial| live[model].push(trial);
     let keep = |robot| LiveTrial::from(&robot);
     let (report, _) = run_all(subject, options, watch, keep, take)?;
     Ok(Reported { report, live })
@@ -127,7 +127,7 @@ fn run_all<T: Send>(
         let listed = &prepared.common.recordings[at];
         sums.push(listed, found.sums, found.trained_on, found.energy)
     })?;
-    sums.report(&prepared.common)
+    sums.report(prepared.common, options)
 }
 
 /// An evaluation before its recordings are run.
@@ -215,7 +215,11 @@ impl SumsOfAll {
         Ok(())
     }
 
-    fn report(self, common: &Common) -> Result<(ScoreReport, Tallied), ScoreError> {
+    fn report(
+        self,
+        common: Common,
+        options: &Options,
+    ) -> Result<(ScoreReport, Tallied), ScoreError> {
         if self.evaluated.rows() == 0 {
             let rows = common.recordings.iter().map(|recording| recording.rows);
             return Err(ScoreError::NoRows {
@@ -224,10 +228,10 @@ impl SumsOfAll {
             });
         }
         let mut energy = self.energy;
-        if common.energy {
+        if options.energy {
             energy.resize_with(common.models.len(), Default::default);
         }
-        let report = report(common, [&self.evaluated, &self.trained_on], &energy);
+        let report = report(common, options, [&self.evaluated, &self.trained_on], &energy);
         let report = report.map_err(|error| ScoreError::kept(&error))?;
         Ok((report, self.evaluated))
     }

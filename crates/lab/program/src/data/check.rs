@@ -18,7 +18,7 @@ use joulebus_program::platform::platform;
 #[derive(Debug, clap::Args)]
 #[command(after_help = format!("Examples:\n  \
     joulebus data check recordings/\n  \
-    joulebus data check 'runs/**/*.npy' --platform gternal --places 10\n  \
+    joulebus data check 'runs/**/*.npy' --platform gternal\n  \
     joulebus data check logs/ --map time=stamp_ms,power_W=load\n  \
     joulebus data check recordings/ --format json\n\n\
     Faults: files that are not recordings, duplicates, times that repeat or go back, gaps, missing \
@@ -34,9 +34,6 @@ pub(super) struct Args {
     recordings: Recordings,
     #[command(flatten)]
     accept: AcceptArguments,
-    /// Occurrences to show per finding
-    #[arg(long, value_name = "N", default_value_t = 3)]
-    places: usize,
     /// Platform of the config whose limits of power and velocity apply, instead of those of any
     /// wheeled robot
     #[arg(long, value_name = "NAME")]
@@ -44,6 +41,10 @@ pub(super) struct Args {
     #[command(flatten)]
     config: ConfigFile,
 }
+
+/// Occurrences of a finding in JSON, and in text.
+const PLACES: usize = 10;
+const SHOWN_PLACES: usize = 3;
 
 #[derive(Debug, Serialize)]
 struct CheckReport {
@@ -56,7 +57,7 @@ struct CheckReport {
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let files = args.recordings.find()?;
     let (limits, map, accept) = args.of_platform()?;
-    let mut check = check_files(&files, &map, &limits, args.places);
+    let mut check = check_files(&files, &map, &limits, PLACES);
     check.accept(&accept.accept);
     let sound = check.is_sound();
     output.report(&CheckReport { sound, check, limits })?;
@@ -113,7 +114,7 @@ fn cards() -> String {
 fn write_finding(out: &mut fmt::Formatter<'_>, word: &str, finding: &Finding) -> fmt::Result {
     let Finding { kind, count, files, .. } = finding;
     writeln!(out, "{word}: {kind}: {count} in {files} files")?;
-    for place in &finding.places {
+    for place in finding.places.iter().take(SHOWN_PLACES) {
         writeln!(out, "  {place}")?;
     }
     Ok(())

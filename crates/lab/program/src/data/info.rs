@@ -15,29 +15,19 @@ use crate::recordings::Recordings;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus data info recordings/*.csv.gz\n  \
-    joulebus data info 'runs/**/*.npy' --columns\n  \
+    joulebus data info 'runs/**/*.npy'\n  \
     joulebus data info a.npy --format json\n\n\
     Held readings equal those of the row before to the bit: power, voltage and current. If most readings \
     are held for three rows at 30 Hz, the sensor is read ten times a second.")]
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
-    /// Show the range of every column
-    #[arg(long)]
-    columns: bool,
-    /// Show only the totals
-    #[arg(long)]
-    short: bool,
 }
 
 #[derive(Debug, Serialize)]
 struct DataInfoReport {
     trials: Vec<TrialReport>,
     sums: Sums,
-    #[serde(skip)]
-    columns: bool,
-    #[serde(skip)]
-    short: bool,
 }
 
 /// Totals over all trials.
@@ -64,8 +54,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         })?;
     }
     let sums = Sums::new(&trials);
-    let (columns, short) = (args.columns, args.short);
-    output.report(&DataInfoReport { trials, sums, columns, short })?;
+    output.report(&DataInfoReport { trials, sums })?;
     Ok(Outcome::Done)
 }
 
@@ -90,18 +79,14 @@ impl Sums {
 
 impl fmt::Display for DataInfoReport {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if !self.short {
-            for trial in &self.trials {
-                write_trial(out, trial)?;
-                if self.columns {
-                    write_columns(out, trial)?;
-                }
-            }
+        for trial in &self.trials {
+            write_trial(out, trial)?;
         }
-        if self.trials.len() > 1 || self.short {
-            write_sums(out, &self.sums)?;
+        match self.trials.as_slice() {
+            // The ranges of many would hide the rest. In JSON all are there.
+            [only] => write_columns(out, only),
+            _ => write_sums(out, &self.sums),
         }
-        Ok(())
     }
 }
 

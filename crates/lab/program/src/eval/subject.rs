@@ -46,22 +46,9 @@ pub(crate) struct Selection {
     /// Horizons of the open loop, ticks from 1 to 300, or none
     #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
     horizons: String,
-    /// Rows between the origins of rollouts, or as many rows as a shorter horizon has ticks
-    #[arg(long, value_name = "ROWS", default_value_t = Options::default().origins_every)]
-    origins_every: usize,
-    /// Also score the energy of the next 1 to 300 s, as far as the recordings reach. The robots run
-    /// one after the other, as one fleet that learns from each
-    #[arg(long)]
-    energy: bool,
     /// Draws for confidence intervals, at most 1,000,000 (0 disables them)
     #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
     resamples: u32,
-    /// Confidence level, a share
-    #[arg(long, value_name = "SHARE", default_value_t = Bootstrap::default().confidence)]
-    confidence: f64,
-    /// Rows of a resampled block, where blocks are not whole trials (below 20 trials)
-    #[arg(long, value_name = "ROWS", default_value_t = Bootstrap::default().block_rows)]
-    block_rows: usize,
 }
 
 /// The recordings of one platform.
@@ -108,19 +95,9 @@ impl Selection {
             "none" => Vec::new(),
             text => text.split(',').map(ticks).collect::<Result<_, _>>()?,
         };
-        Ok(Options {
-            horizons,
-            origins_every: self.origins_every,
-            energy: self.energy,
-            bootstrap: Bootstrap {
-                resamples: self.resamples,
-                confidence: self.confidence,
-                seed: self.seed,
-                block_rows: self.block_rows,
-                ..Bootstrap::default()
-            },
-            ..Options::default()
-        })
+        let (resamples, seed) = (self.resamples, self.seed);
+        let bootstrap = Bootstrap { resamples, seed, ..Bootstrap::default() };
+        Ok(Options { horizons, bootstrap, ..Options::default() })
     }
 
     /// Judges what is implausible in the recordings.

@@ -23,13 +23,12 @@ const BASE_NS: u64 = 1_000_000_000;
 pub(super) fn write(
     path: &Path,
     config: &Config,
-    first_robot: Option<u32>,
     recordings: Vec<Recording>,
 ) -> anyhow::Result<Written> {
     let starts = recordings.iter().filter_map(|recording| recording.start_unix_ns);
     let start_unix_ns = starts.min().unwrap_or_else(clock::unix_ns);
     let names: Vec<String> = recordings.iter().map(|recording| recording.name.clone()).collect();
-    let trials = numbered(config, first_robot, recordings)?;
+    let trials = numbered(config, recordings)?;
     let ids: Vec<u32> = trials.iter().map(|(robot, _)| *robot).collect();
     let clock = Clock {
         // Both are below 2^63 ns for the next 200 years.
@@ -87,16 +86,11 @@ fn samples(
     Ok(header.samples_before)
 }
 
-/// Each trial with its robot's id: as mapped, else numbered from the first free one.
-fn numbered(
-    config: &Config,
-    first_robot: Option<u32>,
-    recordings: Vec<Recording>,
-) -> anyhow::Result<Vec<(u32, Trial)>> {
+/// Each trial with its robot's id: as mapped, else the next free one from the config's lowest on.
+fn numbered(config: &Config, recordings: Vec<Recording>) -> anyhow::Result<Vec<(u32, Trial)>> {
     let platforms = &config.settings().platforms;
     let ranges = platforms.iter().flat_map(|platform| &platform.robots);
-    let lowest = || ranges.map(|range| *range.start()).min();
-    let mut next = first_robot.or_else(lowest).unwrap_or(0);
+    let mut next = ranges.map(|range| *range.start()).min().unwrap_or(0);
     let mut taken: BTreeSet<u32> = recordings.iter().filter_map(|recording| recording.id).collect();
     let mut trials = Vec::new();
     for recording in recordings {
@@ -105,7 +99,7 @@ fn numbered(
             None => {
                 while taken.contains(&next) {
                     next = next.checked_add(1).ok_or_else(|| {
-                        UsageError("there are no more ids. Start lower".to_owned())
+                        UsageError("there are no more ids. State them in a mapping".to_owned())
                     })?;
                 }
                 taken.insert(next);

@@ -6,7 +6,7 @@
     joulebus mission                                   100 seeds, an hour each, some minutes on \
     two cores\n  \
     joulebus mission --seeds 8 --hours 0.25            a quick look\n  \
-    joulebus mission --dragging 0 --battery-wh 0.25    no faults, larger batteries\n  \
+    joulebus mission --battery-wh 0.25                 larger batteries\n  \
     joulebus mission --tune --seeds 4 --hours 0.25     what the policies' settings were chosen from\n\n\
     Twenty simulated robots with small batteries and varied parts do tasks, which arrive at \
     random. Three chargers take one robot each. Every policy gets the same tasks, robots, \
@@ -17,18 +17,12 @@ pub(crate) struct Args {
     /// Number of missions of each policy
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub(super) seeds: u64,
-    /// First seed [default: 1, with --tune 1001]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(0..=1_000_000_000))]
-    pub(super) first_seed: Option<u64>,
     /// Simulated time of a mission, h (0.01 to 24)
     #[arg(long, value_name = "H", default_value_t = 1.0, value_parser = hours)]
     pub(super) hours: f64,
     /// Capacity of a battery, Wh (0.05 to 10)
     #[arg(long, value_name = "WH", default_value_t = 0.15, value_parser = battery)]
     pub(super) battery_wh: f64,
-    /// Share of the robots in which a brush begins to drag at a random time, 0 to 1
-    #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = share)]
-    pub(super) dragging: f64,
     /// Try many settings of each policy on other seeds, instead of comparing the chosen ones
     #[arg(long)]
     pub(super) tune: bool,
@@ -48,8 +42,4 @@ fn hours(text: &str) -> Result<f64, String> {
 
 fn battery(text: &str) -> Result<f64, String> {
     within(text, 0.05, 10.0)
-}
-
-fn share(text: &str) -> Result<f64, String> {
-    within(text, 0.0, 1.0)
 }

@@ -21,15 +21,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Exit> {
     let scenario = Scenario {
         duration_s: 3600.0 * args.hours,
         capacity_j: 3600.0 * args.battery_wh,
-        dragging_share: args.dragging,
         ..Scenario::default()
     };
     let mut policies = if args.tune { tried() } else { CHOSEN.to_vec() };
     if args.oracle {
         policies.insert(0, Policy::Oracle);
     }
-    let default = if args.tune { TUNING_SEED } else { SEED };
-    let first_seed = args.first_seed.unwrap_or(default);
+    let first_seed = if args.tune { TUNING_SEED } else { SEED };
     let runs = all(&scenario, &policies, first_seed, args.seeds)?;
     let summary = Summary::new(scenario, first_seed, &runs);
     output.report(&summary)?;

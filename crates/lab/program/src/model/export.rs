@@ -22,7 +22,7 @@ use joulebus_program::model_source;
     joulebus model export my.safetensors --out my.onnx\n  \
     joulebus model export my.safetensors --out my.npz\n  \
     joulebus model export my.safetensors --to npy --out my/\n  \
-    joulebus model export my.safetensors --python predictor.py\n\n\
+    joulebus model export my.safetensors --out predictor.py\n\n\
     ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output \
     `power_w` (n, 1). The normalisation is part of the graph. Arrays carry `check_features` and \
     `check_power_w`, \
@@ -33,35 +33,12 @@ pub(crate) struct Args {
     /// A joulebus model (.safetensors), or builtin:NAME
     #[arg(value_name = "MODEL")]
     model: PathBuf,
-    #[command(flatten)]
-    target: Target,
-    /// Format of the file [default: by the extension of --out]
-    #[arg(long, value_enum, value_name = "KIND", conflicts_with = "python")]
-    to: Option<ExportFormat>,
-}
-
-/// The target of an exported model.
-#[derive(Debug, clap::Args)]
-#[group(required = true, multiple = false)]
-struct Target {
     /// The output file, or a directory for npy
     #[arg(short, long, value_name = "FILE")]
-    out: Option<PathBuf>,
-    /// The output file, a Python module: as --to python --out FILE
-    #[arg(long, value_name = "FILE")]
-    python: Option<PathBuf>,
-}
-
-impl Args {
-    /// The output file and its format.
-    fn target(&self) -> Result<(&Path, ExportFormat), UsageError> {
-        match (&self.target.python, &self.target.out, self.to) {
-            (Some(path), ..) => Ok((path, ExportFormat::Python)),
-            (None, Some(out), Some(kind)) => Ok((out, kind)),
-            (None, Some(out), None) => Ok((out, by_ending(out)?)),
-            (None, None, _) => Err(UsageError("name the output file: --out FILE".to_owned())),
-        }
-    }
+    out: PathBuf,
+    /// Format of the file [default: by the extension of --out]
+    #[arg(long, value_enum, value_name = "KIND")]
+    to: Option<ExportFormat>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum, Serialize)]
@@ -80,7 +57,8 @@ enum ExportFormat {
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let (out, kind) = args.target()?;
+    let out = &args.out;
+    let kind = args.to.map_or_else(|| by_ending(out), Ok)?;
     let network = model_source::load(&args.model)?;
     let bytes = export(&network, kind, out)?;
     output.report(&ExportReport {

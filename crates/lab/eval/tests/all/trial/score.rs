@@ -5,7 +5,7 @@ use std::ops::Range;
 use std::sync::{Arc, LazyLock};
 
 use joulebus_dataset::rows::{Dataset, Row, RowOrigin};
-use joulebus_dataset::split::{By, Source, Split, split};
+use joulebus_dataset::split::{By, Split, SplitSummary};
 use joulebus_dataset::trained_rows::trained_rows;
 use joulebus_dataset::trial::Trial;
 use joulebus_eval::energy::{EVERY, EnergyScores, untried};
@@ -15,6 +15,7 @@ use joulebus_eval::score::{
     Role, ScoreError, ScoreReport, Scored, ScoredRows, Subject, Verdict, compare,
     recorded_platform, score,
 };
+use joulebus_eval::training_data::{Parts, training_data};
 use joulebus_predictor::{FeatureSet, LAGS, Model, ModelCard, Network};
 use joulebus_settings::{FleetSettings, IntervalSettings, Platform};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
@@ -493,10 +494,9 @@ fn a_duplicate_recording_is_not_fitted_on_where_it_is_evaluated() {
 #[test]
 fn scoring_and_training_hold_out_the_same_rows() {
     let recordings = all_different(9, 120);
-    let sources = sources(&recordings);
     for by in [By::Trial, By::Group, By::Time] {
         let wanted = Split { seed: 3, held_out: 0.25, ..split_by(by) };
-        let (dataset, summary) = split(&sources, wanted, "").unwrap();
+        let (dataset, summary) = training(&recordings, wanted);
         let design = Design::held_out(&recordings, wanted).unwrap();
         let [fold] = design.folds.as_slice() else {
             panic!("{by}: one fold");
@@ -640,9 +640,9 @@ fn trained_on(recordings: Option<&[Recording]>) -> Model {
     Model::Network(Network::new(network.parameters().clone(), card).unwrap())
 }
 
-fn sources(recordings: &[Recording]) -> Vec<Source> {
-    let trials = recordings.iter().map(|one| &contents(one).trial);
-    trials.map(Source::new).collect()
+/// The rows that a model is trained on, and how they are split.
+fn training(recordings: &[Recording], wanted: Split) -> (Dataset, SplitSummary) {
+    training_data(Parts::Split(recordings, wanted), usize::MAX).unwrap()
 }
 
 fn rows_of(recordings: &[Recording]) -> usize {
@@ -777,8 +777,7 @@ fn robots_of_an_energy_evaluation_share_the_errors_of_their_platform() {
 fn parts_of_a_recording_that_were_trained_on_are_scored_apart() {
     let recordings = made_up(3, 600);
     let wanted = Split { held_out: 0.3, ..split_by(By::Time) };
-    let sources = sources(&recordings);
-    let (dataset, _) = split(&sources, wanted, "").unwrap();
+    let (dataset, _) = training(&recordings, wanted);
     let Model::Network(network) = trained_on(None) else {
         panic!("a network");
     };
