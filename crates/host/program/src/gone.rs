@@ -56,7 +56,12 @@ const GONE: &[(&str, &str, &str)] = &[
     ("analyze", "--window", "the models read five readings, as the network does"),
     ("analyze", "--each", "--format json has the autocorrelation of each trial"),
     ("calibrate", "--confidence", "the rate is stated at 95 %"),
-    ("mission", "--first-seed --dragging", "seeds begin at 1, and a brush drags in a tenth of robots"),
+    (
+        "mission",
+        "--first-seed --dragging",
+        "seeds begin at 1, and a brush drags in a tenth of robots",
+    ),
+    ("report", "--train", "--fit names the recordings that baselines are fitted on"),
     ("model export", "--python", "--out FILE.py writes a Python module"),
     (
         "mission",

@@ -9,6 +9,7 @@ mod analyze;
 mod calibrate;
 mod config_init;
 mod data;
+mod design;
 mod eval;
 mod import;
 mod judgement;

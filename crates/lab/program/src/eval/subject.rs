@@ -3,18 +3,17 @@
 use std::path::PathBuf;
 
 use joulebus_config::Config;
-use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::ColumnMap;
-use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject, check_apart};
+use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject};
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::UsageError;
 use joulebus_settings::{FleetSettings, Platform};
 use joulebus_statistics::bootstrap::Bootstrap;
 
+use crate::design::DesignArguments;
 use crate::judgement::{AcceptArguments, Judged};
 use crate::recordings::{find_recordings, open, open_with_ids};
-use crate::split_unit::SplitUnit;
 use crate::trials::TrialFiles;
 
 /// Recordings, and options of their evaluation.
@@ -26,23 +25,11 @@ pub(crate) struct Selection {
     accept: AcceptArguments,
     #[command(flatten)]
     config: ConfigFile,
-    /// Evaluate the held-out part of a split, with baselines fitted on the rest: unit of the split
-    /// [default: evaluate all, baselines cross-fitted on other trials]
-    #[arg(long, value_enum, value_name = "BY", conflicts_with = "fit")]
-    split: Option<SplitUnit>,
-    /// Share that the split holds out, as in training
-    #[arg(long, value_name = "SHARE", default_value_t = Split::default().held_out, requires = "split")]
-    held_out: f64,
-    /// A shift: groups, folders, robots or trials to evaluate, with baselines fitted on all others.
-    /// With --split: units of it to hold out, instead of a share
-    #[arg(long, value_name = "NAME,…", value_delimiter = ',', conflicts_with = "fit")]
-    leave_out: Vec<String>,
+    #[command(flatten)]
+    held_out: DesignArguments,
     /// Seed of the split and of the bootstrap
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Recordings that the baselines are fitted on, instead of cross-fitting
-    #[arg(long, value_name = "PATH", num_args = 1..)]
-    fit: Vec<PathBuf>,
     /// Horizons of the open loop, ticks from 1 to 300, or none
     #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
     horizons: String,
@@ -159,36 +146,12 @@ impl Selection {
 
     /// The evaluated rows. Those that a model was trained on are apart.
     pub(crate) fn design(&self, section: &Section, models: &[Model]) -> anyhow::Result<Design> {
-        let design = self.wanted_design(section)?;
+        let design = self.held_out.design(&section.recordings, self.seed, |fit| {
+            let others = open(find_recordings(fit)?, &section.map)?;
+            section.accept.recordings(&others)?;
+            Ok(others)
+        })?;
         Ok(design.hold_apart(&section.recordings, models)?)
-    }
-
-    fn wanted_design(&self, section: &Section) -> anyhow::Result<Design> {
-        let recordings = &section.recordings;
-        if let Some(together) = self.split {
-            let wanted = Split {
-                by: together.into(),
-                held_out: self.held_out,
-                seed: self.seed,
-                ..Split::default()
-            };
-            let design = match self.leave_out.as_slice() {
-                [] => Design::held_out(recordings, wanted),
-                names => Design::leaving_out(recordings, wanted, names),
-            };
-            return design.map_err(usage);
-        }
-        if !self.leave_out.is_empty() {
-            return Design::shifted(recordings, &self.leave_out).map_err(usage);
-        }
-        if self.fit.is_empty() {
-            return Ok(Design::folds(recordings));
-        }
-        let others = open(find_recordings(&self.fit)?, &section.map)?;
-        section.accept.recordings(&others)?;
-        check_apart(recordings, (&others, "after --fit"))
-            .map_err(|error| UsageError(error.to_string()))?;
-        Ok(Design::fitted_on(recordings, others))
     }
 }
 

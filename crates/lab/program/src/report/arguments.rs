@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use joulebus_program::config_file::ConfigFile;
 
+use crate::design::DesignArguments;
 use crate::judgement::AcceptArguments;
 use crate::recordings::ColumnArguments;
 use crate::references::ReferenceArguments;
@@ -14,7 +15,7 @@ use crate::references::ReferenceArguments;
     joulebus report recordings/ --battery-wh 20 -o report/\n  \
     joulebus report --simulated -o report/\n  \
     joulebus report recordings/ --model my.safetensors -o report/\n  \
-    joulebus report test/ --train training/ --model new.safetensors --model old.safetensors -o report/\n  \
+    joulebus report test/ --fit training/ --model new.safetensors --model old.safetensors -o report/\n  \
     joulebus report recordings/ --split trial --model my.safetensors -o report/\n  \
     joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
     DIR/report.html is a self-contained file. DIR also gets report.json and report.txt. `python3 -m \
@@ -45,10 +46,6 @@ pub(crate) struct Args {
     /// The output directory, which is created if it does not exist
     #[arg(short, long, value_name = "DIR")]
     pub(super) out: PathBuf,
-    /// Recordings that the linear baselines are fitted on [default: cross-fitted on the evaluated
-    /// ones]
-    #[arg(long, value_name = "PATH", num_args = 1.., conflicts_with = "simulated")]
-    pub(super) train: Vec<PathBuf>,
     /// Energy of the battery from full to empty, Wh [default: that of the platform]
     #[arg(long, value_name = "WH", conflicts_with = "simulated", value_parser = crate::config_init::capacity_wh)]
     pub(super) battery_wh: Option<f64>,
@@ -59,20 +56,10 @@ pub(crate) struct Args {
     #[arg(long, conflicts_with = "simulated")]
     pub(super) published: bool,
     /// Simulate the paper's trials and robots, train on them and report, without data
-    #[arg(long, conflicts_with_all = ["paths", "model"])]
+    #[arg(long, conflicts_with_all = ["paths", "model", "split", "leave_out", "fit"])]
     pub(super) simulated: bool,
-    /// Evaluate the held-out part of a split, with baselines fitted on the rest, as in `train` and
-    /// `eval`: unit of the split
-    #[arg(long, value_name = "BY", value_parser = ["trial", "robot", "group", "time"],
-          conflicts_with_all = ["train", "simulated"])]
-    pub(super) split: Option<String>,
-    /// Share that the split holds out, as in training
-    #[arg(long, value_name = "SHARE", default_value_t = 0.15, requires = "split")]
-    pub(super) held_out: f64,
-    /// A shift: groups, folders, robots or trials to evaluate, with baselines fitted on all others.
-    /// With --split: units of it to hold out, instead of a share
-    #[arg(long, value_name = "NAME,…", value_delimiter = ',', conflicts_with_all = ["train", "simulated"])]
-    pub(super) leave_out: Vec<String>,
+    #[command(flatten)]
+    pub(super) held_out: DesignArguments,
     #[command(flatten)]
     pub(super) references: ReferenceArguments,
     /// Seed of the split, as in training [default: 0]. With --simulated: of robots and training of

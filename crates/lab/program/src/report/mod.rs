@@ -7,20 +7,18 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
-use joulebus_dataset::split::Split;
 use joulebus_dataset::trial::ColumnMap;
-use joulebus_eval::score::{Design, Recording, check_apart, read_recordings};
+use joulebus_eval::score::{Recording, read_recordings};
 use joulebus_files::Several;
-use joulebus_predictor::Model;
-use joulebus_program::exit::{Outcome, UsageError};
+use joulebus_program::exit::Outcome;
 use joulebus_program::file::write;
-use joulebus_program::model_source;
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::platform::platform;
 use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
 use joulebus_settings::Platform;
 use joulebus_train::Epoch;
 
+use crate::eval::load;
 use crate::judgement::{self, Judged};
 use crate::recordings::find_recordings;
 pub(crate) use arguments::Args;
@@ -80,7 +78,7 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         Some(name) => Some(platform(settings, name)?),
         None => None,
     };
-    let models = args.model.iter().map(|path| model(path));
+    let models = args.model.iter().map(|path| load(path));
     let models = models.collect::<anyhow::Result<Vec<_>>>()?;
     // The live path needs the platform of each robot: all of them belong to this one.
     let first = kind.and_then(|kind| kind.robots.first()).map_or(0, |ids| *ids.start());
@@ -92,8 +90,9 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
     let accept = args.accept.or_configured(&config, place)?;
     let recordings = read(&args.paths, first, &map)?;
     let implausible = accept.recordings(&recordings)?;
-    let design = design(args, &recordings, || {
-        let training = read(&args.train, first, &map)?;
+    let seed = args.seed.unwrap_or_default();
+    let design = args.held_out.design(&recordings, seed, |fit| {
+        let training = read(fit, first, &map)?;
         accept.recordings(&training)?;
         Ok(training)
     })?;
@@ -112,42 +111,6 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         log_line(&format!("warning: {warning}"));
     }
     Ok((document, implausible))
-}
-
-/// The design: the rows to evaluate.
-fn design(
-    args: &Args,
-    recordings: &[Recording],
-    training: impl FnOnce() -> anyhow::Result<Vec<Recording>>,
-) -> anyhow::Result<Design> {
-    let usage = |error: String| anyhow::Error::from(UsageError(error));
-    if let Some(by) = &args.split {
-        let wanted = Split {
-            by: by.parse().map_err(usage)?,
-            held_out: args.held_out,
-            seed: args.seed.unwrap_or_default(),
-            ..Split::default()
-        };
-        let design = match args.leave_out.as_slice() {
-            [] => Design::held_out(recordings, wanted),
-            names => Design::leaving_out(recordings, wanted, names),
-        };
-        return design.map_err(|error| usage(error.to_string()));
-    }
-    if !args.leave_out.is_empty() {
-        let design = Design::shifted(recordings, &args.leave_out);
-        return design.map_err(|error| usage(error.to_string()));
-    }
-    if args.train.is_empty() {
-        return Ok(Design::folds(recordings));
-    }
-    let training = training()?;
-    check_apart(recordings, (&training, "in --train")).map_err(|error| usage(error.to_string()))?;
-    Ok(Design::fitted_on(recordings, training))
-}
-
-fn model(path: &Path) -> anyhow::Result<Model> {
-    Ok(Model::Network(model_source::load(path)?))
 }
 
 /// The recordings of files and directories, all with the same robot id, since each is run alone.
