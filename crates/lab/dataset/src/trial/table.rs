@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::fmt;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use joulebus_plausibility::is_charge;
 use joulebus_wire::sample_flag;
@@ -151,7 +152,7 @@ pub struct Table {
     /// Rows of the file in which its header comes again.
     pub(crate) headers: Vec<u32>,
     /// By how much the lines of a CSV are ahead of its rows, from lines on.
-    pub(crate) ahead: Vec<(u32, u32)>,
+    pub(crate) ahead: Arc<[(u32, u32)]>,
     /// Position of another recording that was appended to its file, if any.
     pub(crate) appended: Option<Appended>,
     /// A column of few words by which its rows alternate, as those of several sources.
@@ -655,6 +656,14 @@ impl Tables {
         }
         self.rows = self.tables.iter().map(Table::rows).sum();
         Ok(Some(parts))
+    }
+
+    /// Lines of the rows in memory, in order.
+    pub(super) fn lines(&self) -> Vec<u32> {
+        let mut lines: Vec<u32> =
+            self.tables.iter().flat_map(|table| table.file_row.iter().copied()).collect();
+        lines.sort_unstable();
+        lines
     }
 
     /// The table of a row's robot. An empty name means none.

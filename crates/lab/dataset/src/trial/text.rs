@@ -2,6 +2,7 @@
 
 use std::io::Read;
 use std::path::Path;
+use std::sync::Arc;
 
 use csv::{ByteRecord, Reader};
 
@@ -45,8 +46,9 @@ pub(super) fn read(
         if let Some(mut parts) = tables.complete(path, in_memory)? {
             for table in &mut parts {
                 table.ignored_columns.clone_from(&rows.layout.ignored_columns);
-                kept.tell(table);
             }
+            kept.tell(&mut parts);
+            kept.forget_all_but(&tables.lines());
             rows.finish(path, &mut parts, &mut kept)?;
             if parts.into_iter().try_for_each(&mut *take).is_break() {
                 return Ok(());
@@ -60,9 +62,7 @@ pub(super) fn read(
     let no_final_line_break =
         !rows.reader.get_ref().ends_in_line_break() && kept.left_out.lines == 0;
     let mut tables = tables.finish(path, &rows.layout.ignored_columns, no_final_line_break);
-    for table in &mut tables {
-        kept.tell(table);
-    }
+    kept.tell(&mut tables);
     rows.times.note(&rows.layout.time_name, &mut rows.understood);
     if rows.numbers.decimal_comma == Some(true) {
         rows.understood.push("its numbers have a decimal comma".to_owned());
@@ -93,9 +93,25 @@ impl Kept {
         }
     }
 
-    fn tell(&self, table: &mut super::Table) {
-        table.headers.clone_from(&self.headers);
-        table.ahead.clone_from(&self.ahead);
+    fn tell(&self, tables: &mut [super::Table]) {
+        let ahead: Arc<[(u32, u32)]> = self.ahead.as_slice().into();
+        for table in tables {
+            table.headers.clone_from(&self.headers);
+            table.ahead = Arc::clone(&ahead);
+        }
+    }
+
+    /// Forgets what concerns only rows that were taken. `lines`: those of the others, in order.
+    fn forget_all_but(&mut self, lines: &[u32]) {
+        let until_now = self.ahead.last().copied();
+        let of = |line: &u32| {
+            let at = self.ahead.partition_point(|(from, _)| from <= line);
+            at.checked_sub(1).map(|at| self.ahead[at])
+        };
+        let mut ahead: Vec<_> = lines.iter().filter_map(of).chain(until_now).collect();
+        ahead.dedup();
+        self.ahead = ahead;
+        self.headers.retain(|header| lines.first().is_some_and(|first| header > first));
     }
 
     /// Leaves a line out. Always false: it is no whole row.

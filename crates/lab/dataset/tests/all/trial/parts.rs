@@ -39,6 +39,12 @@ fn contents<'a>(tables: impl IntoIterator<Item = &'a Table>) -> Vec<(usize, u64,
     tables.into_iter().flat_map(of).collect()
 }
 
+/// The numbers of a robot's rows among those of its file.
+fn data_rows(table: &Table) -> Vec<usize> {
+    let trial = table.clone().into_trial().unwrap();
+    (0..trial.rows()).map(|row| trial.data_row(row)).collect()
+}
+
 #[test]
 fn the_parts_of_a_file_have_its_rows_to_the_bit_each_once_in_every_format() {
     let files = Files::new();
@@ -50,6 +56,7 @@ fn the_parts_of_a_file_have_its_rows_to_the_bit_each_once_in_every_format() {
             .collect();
         for (name, bytes) in [
             ("long.csv", csv(&rows).into_bytes()),
+            ("spaced.csv", csv(&rows).replace('\n', "\n\n").into_bytes()),
             ("long.csv.gz", gzip(csv(&rows).as_bytes())),
             ("long.npy", npy_f8(&rows)),
             ("columns.npy", npy(&header(">f8", "True", rows.len()), &columns)),
@@ -61,6 +68,7 @@ fn the_parts_of_a_file_have_its_rows_to_the_bit_each_once_in_every_format() {
             for table in &whole {
                 let own = || parts.iter().filter(|part| part.robot_name() == table.robot_name());
                 assert_eq!(contents(own()), contents([table]), "{name}");
+                assert_eq!(own().flat_map(data_rows).collect::<Vec<_>>(), data_rows(table));
                 assert!(own().all(|part| (2..=300).contains(&part.rows())), "{name}");
             }
             for part in parts {
