@@ -4,7 +4,7 @@ mod arguments;
 
 use std::io::{IsTerminal as _, Write as _};
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_dataset::trial::ColumnMap;
