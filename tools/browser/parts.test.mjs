@@ -6,6 +6,7 @@ import test from "node:test";
 import { together } from "./page/alarms.js";
 import * as address from "./page/address.js";
 import { emptyBoard, take } from "./page/board.js";
+import * as capacity from "./page/capacity.js";
 import * as format from "./page/format.js";
 import { niceAbove } from "./page/list.js";
 import { fan, rows } from "./page/outlook.js";
@@ -59,6 +60,20 @@ test("the fan has a point for each horizon and a band as far as there are bounds
   assert.deepEqual([x.ticks.map(([at]) => at), y.ticks.map(([watts]) => watts), y.range], [[0, 1, 2, 3], [0, 2, 4], [0, 5]]);
   const unknown = { ...outlook, energy_j: [null, null, null, null] };
   assert.deepEqual(fan(rows(unknown)), null);
+});
+
+test("capacities are in words from the first month on, and a line from the second", () => {
+  const day = (text) => Date.parse(text) / 1000;
+  const months = [["2026-08-20", 36_000, 1_800], ["2026-09-21", 32_400, 18_000]].map(([date, joules, sdJ]) => (
+    { unix_s: day(date), capacity_j: joules, capacity_sd_j: sdJ }));
+  const all = capacity.rows(months);
+  assert.deepEqual(all.map((row) => [row.month, row.joules, row.loJ, row.hiJ]),
+    [["Aug 2026", 36_000, 32_400, 39_600], ["Sep 2026", 32_400, 0, 68_400]]);
+  const { line, band, x, y } = capacity.fan(all);
+  assert.deepEqual(line.map(([, joules]) => joules), [36_000, 32_400]);
+  assert.deepEqual(band.map(([, joules]) => joules), [39_600, 68_400, 0, 32_400]);
+  assert.deepEqual([x.range, y.range], [months.map((month) => month.unix_s), [0, 68_400]]);
+  assert.equal(capacity.fan(all.slice(1)), null);
 });
 
 test("an unknown charge has a hint, once the robot's energy is counted", () => {

@@ -2,6 +2,7 @@
 // alarms.
 
 import { changeItems, raisedItems } from "./alarms.js";
+import { CapacityView } from "./capacity.js";
 import { Charts } from "./charts.js";
 import * as format from "./format.js";
 import { OutlookView } from "./outlook.js";
@@ -67,6 +68,7 @@ export class RobotView {
     this.part = (name) => this.root.querySelector(`[data-robot="${name}"]`);
     this.charts = new Charts(this.root);
     this.outlook = new OutlookView(this.root);
+    this.capacity = new CapacityView(this.root);
     for (const kind of ["last", "network", "stack"]) {
       const share = document.createElement("i");
       share.className = `w-${kind}`;
@@ -88,7 +90,9 @@ export class RobotView {
     for (const node of this.fields.values()) node.textContent = "";
     this.charts.clear();
     this.outlook.clear();
+    this.capacity.show([]);
     this.#loadHistory(id);
+    this.#loadCapacity(id);
   }
 
   /** @param agedS how old the newest frame is where it should be newer, s */
@@ -120,6 +124,17 @@ export class RobotView {
     [...box.children].forEach((share, at) => share.style.setProperty("flex-grow", String(Math.max(0, weights[at] ?? 0))));
     const text = ["last reading", "network", "stack of both"].map((name, at) => `${name} ${format.percent(weights[at])}`);
     box.ariaLabel = `Share of each forecaster: ${text.join(", ")}`;
+  }
+
+  /** Once: it changes with a whole drive. */
+  async #loadCapacity(id) {
+    try {
+      const answer = await fetch(`/api/v1/robots/${id}/capacity`, { cache: "no-store" });
+      const found = answer.ok ? await answer.json() : null;
+      if (found !== null && this.id === id) this.capacity.show(found.months);
+    } catch {
+      // As below.
+    }
   }
 
   async #loadHistory(id) {

@@ -24,6 +24,7 @@ use tokio::time::{Instant, MissedTickBehavior, interval_at, timeout};
 
 use super::acknowledge::Acknowledge;
 use super::battery::StateBattery;
+use super::capacity::CapacityRecord;
 use super::connections::{Connection, Connections, Receiving};
 use super::entry::Object;
 use super::error::{ApiError, json, typed};
@@ -110,6 +111,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/fleet", get(fleet))
         .route("/api/v1/robots", get(robots))
         .route("/api/v1/robots/{id}", get(robot))
+        .route("/api/v1/robots/{id}/capacity", get(capacity))
         .route("/api/v1/robots/{id}/history", get(history))
         .route("/api/v1/robots/{id}/outlook", get(outlook))
         .route("/api/v1/alarms", get(alarms))
@@ -200,7 +202,20 @@ async fn battery(
     pass_on(&app, peer, move |config| asked.ask(config)).await
 }
 
-/// Has the worker take a statement of a person.
+async fn capacity(
+    State(app): State<Arc<App>>,
+    Extension(peer): Extension<Peer>,
+    Path(id): Path<String>,
+) -> Answer {
+    let robot = id_of(&id)?;
+    let is_named = app.config.settings().platforms.iter().any(|platform| platform.has(robot));
+    if !is_named {
+        return Err(no_robot(robot));
+    }
+    pass_on(&app, peer, move |config| Ok(CapacityRecord::read(config, robot))).await
+}
+
+/// Has the worker take a statement of a person, or reads what it saves.
 async fn pass_on<T: Serialize + Send + 'static>(
     app: &App,
     peer: Peer,

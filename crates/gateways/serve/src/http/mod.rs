@@ -10,6 +10,7 @@ mod acknowledge;
 mod alarms;
 mod api;
 mod battery;
+mod capacity;
 mod connections;
 mod entry;
 mod error;

@@ -28,6 +28,7 @@ static PAGE: &[File] = &[
     file!("address.js", JS),
     file!("alarms.js", JS),
     file!("board.js", JS),
+    file!("capacity.js", JS),
     file!("card.js", JS),
     file!("charts.js", JS),
     file!("fan.js", JS),

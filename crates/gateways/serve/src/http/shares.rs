@@ -31,8 +31,8 @@ pub(super) const RESERVED: Limit = limit("reserved connections", 16);
 pub(super) const STREAMS: Limit = limit("streams", 128);
 /// Questions about plans that wait, with the one that is computed.
 const QUESTIONS: Limit = limit("questions about plans", 16);
-/// Statements of persons that wait, with the one that is passed on.
-const STATEMENTS: Limit = limit("statements of persons", 16);
+/// Statements of persons and readings of the ledger that wait, with the one that is done.
+const STATEMENTS: Limit = limit("statements of persons, and capacities", 16);
 /// Requests that wait for the thread that reads the fleet.
 pub(super) const READINGS: Limit = limit("requests for values of the fleet", 64);
 /// Bodies of requests on their way here.

@@ -19,6 +19,7 @@ use joulebus_connect::findings::FindingsFile;
 use joulebus_testkit::{
     MemoryGroup, PATIENCE, as_in_docker, assert_contains, end_signals, eventually, remove,
 };
+use joulebus_wire::fnv1a;
 use rustix::process::Signal;
 use serde_json::{Value, json};
 
@@ -224,6 +225,36 @@ fn a_battery_is_stated_by_whoever_may_ask() {
         robot["off"] == false && note.is_null() && (soc - 0.5).abs() < 0.01
     });
     source.end();
+}
+
+#[test]
+fn months_of_learned_capacity_are_those_of_the_ledger() {
+    let fleet = Fleet::new();
+    let file = fleet.file("ledger.json");
+    let text = fs::read_to_string(fleet.path()).unwrap();
+    let saved = text.replace("checkpoint = \"\"", &format!("checkpoint = {file:?}"));
+    assert_ne!(text, saved);
+    fs::write(fleet.path(), saved).unwrap();
+    let (_server, address) = fleet.serve(&[]);
+    let of = |robot: u32| get(&address, &format!("/api/v1/robots/{robot}/capacity"));
+    let none = json!({"robot": 3, "months": []});
+    assert_eq!(of(3).json(), none);
+    let months = json!([
+        {"unix_s": 1_787_000_000_u64, "capacity_j": 36_000.0, "capacity_sd_j": 1_800.0},
+        {"unix_s": 1_790_000_000_u64, "capacity_j": 32_400.0, "capacity_sd_j": 1_080.0},
+    ]);
+    let ledger = json!({
+        "fleet": "http", "boot_id": "", "written_ns": 0, "written_unix_ns": 0, "robots": {},
+        "capacities": {"3": months},
+    });
+    let sum = fnv1a(format!("[7,1,{ledger}]").bytes());
+    let head = format!("{{\"schema\":7,\"generation\":1,\"fnv1a\":\"{sum:016x}\"");
+    fs::write(&file, format!("{head},\"ledger\":{ledger}}}")).unwrap();
+    assert_eq!(of(3).json(), json!({"robot": 3, "months": months}));
+    // Half a file says nothing.
+    fs::write(&file, head).unwrap();
+    assert_eq!(of(3).json(), none);
+    assert_eq!((of(77).status, get(&address, "/api/v1/robots/x/capacity").status), (404, 400));
 }
 
 /// A bridge writes what it finds beside the fleet's shared memory.
