@@ -25,7 +25,7 @@ const HASHES: [(&str, &str); 12] = [
     ),
     (
         "joulebus_msgs/msg/Outlook",
-        "ac0f11522bfb85b70ef4c0b71bfb1e204f1adffc146c57cd10c9f1eafbbfb29e",
+        "8c8d5c99ebddd5b7457cc239a5ee6b4de59568e877089fc4ca0d5db30fe4f08d",
     ),
     (
         "joulebus_msgs/srv/WhatIf",

@@ -97,6 +97,14 @@ messages! {
         pub time_to_empty_lo_s: f32,
         /// Its upper bound, s.
         pub time_to_empty_hi_s: f32,
+        /// Learned capacity of the battery, J.
+        pub capacity_j: f32,
+        /// Its standard deviation, J.
+        pub capacity_sd_j: f32,
+        /// Time on the charger until the battery is at 80 %, s.
+        pub time_to_80_s: f32,
+        /// Time on the charger until the battery is full, s.
+        pub time_to_full_s: f32,
     }
 
     /// What a plan costs a robot, and whether it makes it. NaN is unknown.

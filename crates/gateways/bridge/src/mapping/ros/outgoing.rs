@@ -82,12 +82,12 @@ pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> B
 }
 
 pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
-    let usable_ah = voltage_v
-        .filter(|voltage_v| *voltage_v > 0.0)
-        .map_or(f64::NAN, |voltage_v| number(values, "usable_j") / 3_600.0 / f64::from(voltage_v));
+    let voltage = voltage_v.filter(|voltage_v| *voltage_v > 0.0).map_or(f64::NAN, f64::from);
+    let ah = |joules: &str| (number(values, joules) / 3_600.0 / voltage) as f32;
     BatteryState {
         percentage: number(values, "soc") as f32,
-        charge: usable_ah as f32,
+        charge: ah("usable_j"),
+        capacity: ah("capacity_j"),
         ..battery(name, "stamp_unix_ns", values, voltage_v)
     }
 }
@@ -107,6 +107,10 @@ pub(crate) fn outlook(name: &str, values: &Object) -> Outlook {
         time_to_empty_s: f32_of("time_to_empty_s"),
         time_to_empty_lo_s: f32_of("time_to_empty_lo_s"),
         time_to_empty_hi_s: f32_of("time_to_empty_hi_s"),
+        capacity_j: f32_of("capacity_j"),
+        capacity_sd_j: f32_of("capacity_sd_j"),
+        time_to_80_s: f32_of("time_to_80_s"),
+        time_to_full_s: f32_of("time_to_full_s"),
     }
 }
 
@@ -256,6 +260,7 @@ mod tests {
     fn values() -> Object {
         let values = json!({
             "power_w": 48.0, "soc": 0.5, "usable_j": 86_400.0, "charging": false, "level": "warn",
+            "capacity_j": 172_800.0, "capacity_sd_j": 3_600.0, "time_to_full_s": 5_400,
             "alarms": ["StuckSensor", "HeldTooLong"], "quality": "Held",
             "stamp_unix_ns": 1_700_000_000_000_000_001_u64, "target_unix_ns": 1_700_000_000_500_000_000_u64,
         });
@@ -288,11 +293,12 @@ mod tests {
     #[test]
     fn a_budget_is_a_charge_and_a_percentage() {
         let message = budget("r1", &values(), Some(24.0));
-        assert_eq!((message.percentage, message.charge), (0.5, 1.0));
+        assert_eq!((message.percentage, message.charge, message.capacity), (0.5, 1.0, 2.0));
         assert!(message.current.is_nan());
         assert_eq!(message.header.stamp.nanosec, 1);
         let message = budget("r1", &values(), None);
         assert!(message.percentage == 0.5 && message.charge.is_nan() && message.voltage.is_nan());
+        assert!(message.capacity.is_nan());
         let bytes: Vec<u8> = [0, 1, 0, 0].into_iter().chain(encode(&message).unwrap()).collect();
         let Message::BatteryState(again) = RosType::BatteryState.decode(&bytes).unwrap() else {
             panic!("another type");
@@ -301,7 +307,7 @@ mod tests {
     }
 
     #[test]
-    fn an_outlook_has_four_horizons_and_the_time_to_empty() {
+    fn an_outlook_has_four_horizons_the_time_to_empty_and_the_battery() {
         let mut values = values();
         values.insert("energy_10s_hi_j".to_owned(), json!(480.5));
         values.insert("time_to_empty_s".to_owned(), json!(1_800));
@@ -309,6 +315,8 @@ mod tests {
         assert_eq!(message.horizon_s, [1.0, 10.0, 60.0, 300.0]);
         assert_eq!((message.energy_hi_j[1], message.time_to_empty_s), (480.5, 1_800.0));
         assert!(message.energy_hi_j[0].is_nan() && message.energy_j[1].is_nan());
+        assert_eq!((message.capacity_j, message.capacity_sd_j), (172_800.0, 3_600.0));
+        assert!(message.time_to_full_s == 5_400.0 && message.time_to_80_s.is_nan());
         assert_eq!((message.usable_j, message.header.frame_id.as_str()), (86_400.0, "r1"));
     }
 

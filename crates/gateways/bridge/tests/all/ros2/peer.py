@@ -179,6 +179,10 @@ class Outlook_(IdlStruct, typename="joulebus_msgs::msg::dds_::Outlook_"):
     time_to_empty_s: float32 = 0.0
     time_to_empty_lo_s: float32 = 0.0
     time_to_empty_hi_s: float32 = 0.0
+    capacity_j: float32 = 0.0
+    capacity_sd_j: float32 = 0.0
+    time_to_80_s: float32 = 0.0
+    time_to_full_s: float32 = 0.0
 
 
 @dataclass
