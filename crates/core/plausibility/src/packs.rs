@@ -1,5 +1,6 @@
 //! Several packs of one robot: what their messages say becomes what one battery would.
 
+use crate::battery::CurrentMonitor;
 use crate::front::{Mapped, SOC};
 use crate::observation::Observation;
 
@@ -12,6 +13,7 @@ use crate::observation::Observation;
 pub struct Packs {
     capacities_wh: Vec<f64>,
     newest: Vec<Option<Newest>>,
+    monitors: Vec<CurrentMonitor>,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -37,12 +39,20 @@ impl Packs {
     /// Packs of which nothing is known.
     #[must_use]
     pub fn new(capacities_wh: Vec<f64>) -> Self {
-        Self { newest: vec![None; capacities_wh.len()], capacities_wh }
+        let count = capacities_wh.len();
+        Self {
+            capacities_wh,
+            newest: vec![None; count],
+            monitors: vec![CurrentMonitor::new(); count],
+        }
     }
 
     /// Takes what one pack says. Each sum has something new of every pack, none of it older than
     /// `holds_ns`.
-    pub fn take(&mut self, pack: usize, said: Mapped, at_ns: u64, holds_ns: u64) -> Packed {
+    pub fn take(&mut self, pack: usize, mut said: Mapped, at_ns: u64, holds_ns: u64) -> Packed {
+        let monitor = &mut self.monitors[pack];
+        monitor.take(&said.seen);
+        said.is_reserved &= !monitor.measures_one_ampere();
         let repeats = self.newest[pack].is_some_and(|newest| newest.is_new);
         self.newest[pack] = Some(Newest { at_ns, said, is_new: true });
         let is_old = |newest: &Newest| at_ns.saturating_sub(newest.at_ns) > holds_ns;
@@ -61,9 +71,13 @@ impl Packs {
     }
 }
 
-/// The one battery that packs make, each with its energy from full to empty.
+/// The one battery that packs make, each with its energy from full to empty. One pack is that
+/// battery.
 #[must_use]
 pub fn whole(capacities_wh: &[f64], parts: &[Mapped]) -> Mapped {
+    if let [one] = parts {
+        return *one;
+    }
     let sum = |of: &dyn Fn(&Mapped) -> f64| parts.iter().map(of).sum::<f64>();
     let voltage_v = sum(&|part| part.seen.voltage_v) / parts.len() as f64;
     // A pack's monitor that measures nothing must not vanish among those that do.
@@ -179,6 +193,27 @@ mod tests {
         ] {
             assert_eq!(take(pack, at_ns), expected, "pack {pack} at {at_ns}");
         }
+    }
+
+    #[test]
+    fn a_pack_whose_coarse_monitor_measures_one_ampere_keeps_its_power() {
+        for (others, power_w) in
+            [([-0.9, -1.1], 48.0), ([-0.93, -1.17], f64::NAN), ([-1.0; 2], f64::NAN)]
+        {
+            let mut packs = Packs::new(vec![1.0, 1.0]);
+            let mut found = f64::NAN;
+            for (at_ns, written_a) in (0..).zip(others.into_iter().chain([-1.0])) {
+                for number in 0..2 {
+                    let said = map(Said { written_a, ..pack(24.0, -written_a, 0.5) });
+                    if let Packed::Whole(whole) = packs.take(number, said, at_ns, 100) {
+                        found = whole.seen.power_w;
+                    }
+                }
+            }
+            assert!(found == power_w || found.is_nan() && power_w.is_nan(), "{others:?}: {found}");
+        }
+        let one = map(Said { written_a: -1.0, ..pack(24.0, 1.0, 0.5) });
+        assert!(whole(&[1.0], &[one]).is_reserved, "whoever takes one battery judges its monitor");
     }
 
     fn pack_of(place: usize) -> Said {
