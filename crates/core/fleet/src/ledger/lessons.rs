@@ -88,8 +88,28 @@ impl Lessons {
         {
             // Saturates. 0 means unknown.
             let newest = (3.6e6 * charged / seconds).round().max(1.0) as u16;
-            *rate = if *rate == 0 { newest } else { u16::midpoint(*rate, newest) };
+            // A gauge that jumps must not make a charger fast.
+            let most = rate.saturating_mul(2);
+            *rate = if *rate == 0 { newest } else { u16::midpoint(*rate, newest.min(most)) };
         }
         (self.tenth_from, self.tenth_s) = (soc as f32, 0.0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_gauge_that_jumps_makes_a_tenth_faster_by_half_and_a_charge_makes_it_slow_again() {
+        let mut lessons = Lessons::continued([500; CHARGE_TENTHS]);
+        lessons.charge(Some(0.31), Some(0));
+        lessons.charge(Some(0.45), Some(1_000_000_000));
+        assert_eq!(lessons.charge_rate[3], 750);
+        lessons.charge(Some(0.5), Some(1_000_000_000));
+        lessons.charge(None, None);
+        lessons.charge(Some(0.3), Some(0));
+        lessons.charge(Some(0.4), Some(720_000_000_000));
+        assert_eq!(lessons.charge_rate[3], 625);
     }
 }
