@@ -4,13 +4,12 @@ use std::fmt;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::sync::mpsc::sync_channel;
 
 use anyhow::Context as _;
 use joulebus_bus::check_threads;
 use joulebus_config::{Config, ModelSource};
 use joulebus_models::load_models;
-use joulebus_plan_server::{MAX_STATEMENTS, PlanServer, QueryReport};
+use joulebus_plan_server::{PlanServer, QueryReport, Statements};
 use joulebus_predictor_worker::{Report, Worker};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::Outcome;
@@ -59,7 +58,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let started = RecorderProcess::start(&args.config, file);
         started.inspect_err(|error| log_line(&format!("nothing is recorded: {error:#}")))
     });
-    let (stated, statements) = sync_channel(MAX_STATEMENTS);
+    let (stated, statements, taken) = Statements::channel();
     let questions = PlanServer::start(&config, Some(stated))?;
     let turns = Arc::new(AtomicU64::new(0));
     let service = ServiceManager::start(Arc::clone(&turns))?;
@@ -67,7 +66,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let mut worker =
         if args.standby { Worker::open_standby(&config)? } else { Worker::open(&config)? };
     worker.count_turns_in(turns);
-    worker.take_statements_from(statements);
+    worker.take_statements_from(statements, taken);
     worker.tell_refusals_to(alarms.refusals());
     worker.needs(alarms.watch());
     if let Some(thread) = questions.watch() {

@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use joulebus_fleet::{ErrorCounts, Fleet, Ledger, SavedBattery, SavedLessons, SavedPause};
+use joulebus_fleet::{
+    ErrorCounts, Fleet, Ledger, SavedBattery, SavedLessons, SavedPause, StatedBattery,
+};
 use joulebus_wire::{Budget, BudgetHeader, budget_flag};
 use serde::{Deserialize, Serialize};
 
@@ -64,6 +66,8 @@ impl LearnedCapacity {
 
 /// Months of which a robot's learned capacity is kept.
 const MONTHS: usize = 24;
+/// A wall clock that shows less is not set, Unix s: 2025.
+const CLOCK_IS_SET_S: u64 = 1_735_689_600;
 
 /// The errors that a platform's robots have shown of its model, from which the bounds of the next
 /// run's plans and outlooks continue.
@@ -131,6 +135,16 @@ pub(crate) struct Account {
 }
 
 impl Account {
+    /// Sets the battery, with its parts apart.
+    fn set_battery(&mut self, battery: SavedBattery) {
+        let (pause, lessons) = (battery.pause(), battery.lessons());
+        self.mean_power_w = battery.mean_power_w();
+        self.pause = Some(pause).filter(|pause| *pause != SavedPause::default());
+        self.lessons = Some(lessons).filter(|lessons| *lessons != SavedLessons::default());
+        let bare = battery.with_mean_power_w(None);
+        self.battery = Some(bare.with_pause(SavedPause::default(), SavedLessons::default()));
+    }
+
     /// True if a budget of the same last sample, which contains a silence, says that its battery is
     /// known since: its pause is shorter than the silence would have made it.
     fn is_stated(&self, budget: &Budget, silent_ns: u64) -> bool {
@@ -195,13 +209,7 @@ impl Checkpoint {
             let silent_ns = silent_ns.saturating_sub(period_ns(budget.robot).unwrap_or(0));
             // A person's statement ends the pause.
             let silent = silent.filter(|known| !known.is_stated(budget, silent_ns));
-            let battery = SavedBattery::new(budget, silent_ns);
-            let mean_power_w = battery.and_then(|battery| battery.mean_power_w());
-            let pause = battery.map(|battery| battery.pause());
-            let pause = pause.filter(|pause| *pause != SavedPause::default());
-            let lessons = battery.map(|battery| battery.lessons());
-            let lessons = lessons.filter(|lessons| *lessons != SavedLessons::default());
-            let account = Account {
+            let mut account = Account {
                 drawn_uj: budget.drawn_uj,
                 drawn_remainder: budget.drawn_remainder,
                 forecast_uj: budget.forecast_uj,
@@ -209,15 +217,18 @@ impl Checkpoint {
                 unmetered_ns: budget.unmetered_ns,
                 stamp_ns: budget.stamp_ns,
                 charged: budget.flags & budget_flag::CHARGED != 0,
-                battery: silent.and_then(|known| known.battery).or_else(|| {
-                    let bare = |battery: SavedBattery| battery.with_mean_power_w(None);
-                    let none = (SavedPause::default(), SavedLessons::default());
-                    battery.map(|battery| bare(battery).with_pause(none.0, none.1))
-                }),
-                mean_power_w,
-                pause: silent.and_then(|known| known.pause).or(pause),
-                lessons,
+                battery: None,
+                mean_power_w: None,
+                pause: None,
+                lessons: None,
             };
+            if let Some(battery) = SavedBattery::new(budget, silent_ns) {
+                account.set_battery(battery);
+            }
+            if let Some(known) = silent {
+                account.battery = known.battery.or(account.battery);
+                account.pause = known.pause.or(account.pause);
+            }
             let before = self.robots.insert(budget.robot, account);
             self.remember_capacity(budget, before.and_then(|before| before.lessons));
         }
@@ -239,6 +250,14 @@ impl Checkpoint {
         too_many
     }
 
+    /// Takes the battery that a person has stated of a robot of which no sample has come since.
+    pub(crate) fn state(&mut self, stated: &StatedBattery) {
+        let account = self.robots.get_mut(&stated.robot);
+        if let Some(account) = account.filter(|account| account.stamp_ns == stated.stamp_ns) {
+            account.set_battery(stated.battery);
+        }
+    }
+
     /// Remembers a capacity that has changed since the lessons `before`.
     fn remember_capacity(&mut self, budget: &Budget, before: Option<SavedLessons>) {
         let Some((capacity_j, capacity_sd_j)) = budget.learned_capacity_j() else {
@@ -253,12 +272,14 @@ impl Checkpoint {
             return;
         }
         let unix_s = self.written_unix_ns / 1_000_000_000;
+        if unix_s < CLOCK_IS_SET_S {
+            return;
+        }
         let newest = LearnedCapacity { unix_s, capacity_j, capacity_sd_j };
         let months = self.capacities.entry(budget.robot).or_default();
-        match months.last_mut() {
-            Some(last) if last.month() >= newest.month() => *last = newest,
-            _ => months.push(newest),
-        }
+        // Also those of a clock that was ahead.
+        months.retain(|known| known.month() < newest.month());
+        months.push(newest);
         months.drain(..months.len().saturating_sub(MONTHS));
     }
 
@@ -507,9 +528,15 @@ pub(crate) mod tests {
         for day in 0..1_000_u64 {
             // Rounded by a restart: nothing was learned.
             let rounded = |value: f32| value * (1.0 + (day % 2) as f32 * f32::EPSILON);
+            // A host begins without a clock, and another is years ahead.
+            let wall = match day {
+                700..710 => day - 700,
+                720..730 => 60_000 + day,
+                _ => 20_300 + day,
+            };
             let header = BudgetHeader {
                 sent_ns: 1_000 + day,
-                sent_unix_ns: (20_000 + day) * 86_400_000_000_000,
+                sent_unix_ns: wall * 86_400_000_000_000,
                 ..BudgetHeader::default()
             };
             let budget = Budget {
@@ -533,7 +560,7 @@ pub(crate) mod tests {
         let newest_j = 36_000.0 - 398.0;
         assert!((months[MONTHS - 1].capacity_j - newest_j).abs() < 0.1, "{months:?}");
         assert_eq!(months.len(), MONTHS);
-        assert_eq!(months[MONTHS - 1].unix_s, (20_000 + 995) * 86_400);
+        assert_eq!(months[MONTHS - 1].unix_s, (20_300 + 995) * 86_400);
         assert!(months.is_sorted_by(|one, next| one.month() < next.month()), "{months:?}");
         let lessons = read.ledgers()[0].battery.unwrap().lessons();
         assert_eq!(Some(lessons), ledger.robots[&3].lessons);

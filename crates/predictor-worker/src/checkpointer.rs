@@ -4,11 +4,13 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
 use joulebus_bus::{Background, Bus, Domain, JoinError, OpenError, Reader, Steps, clock};
 use joulebus_config::Config;
 use joulebus_connect::standby::Places;
+use joulebus_fleet::StatedBattery;
 use joulebus_wire::{Budgets, Diagnostics, DropCounts, DropReason, Forecasts};
 
 use crate::checkpoint::{Checkpoint, SentErrors};
@@ -18,6 +20,8 @@ use crate::save_schedule::SaveSchedule;
 use crate::state_directory::checkpoint_path;
 
 pub(crate) const THREAD: &str = "joulebus-checkpointer";
+/// Stated batteries that wait for the checkpointer, at most.
+const MAX_STATED: u64 = 64;
 /// Maximum sleep of the checkpointer, ns.
 const PERIOD_NS: u64 = 200_000_000;
 /// Polling interval for a keyframe being sent, ns.
@@ -42,6 +46,32 @@ pub enum CheckpointerError {
     Start(#[from] std::io::Error),
 }
 
+/// Batteries that persons have stated of robots without a budget, on their way to the ledger.
+#[derive(Debug)]
+pub(crate) struct StatedBatteries {
+    to: SyncSender<StatedBattery>,
+    sent: u64,
+    taken: Arc<AtomicU64>,
+}
+
+impl StatedBatteries {
+    /// The two ends for the checkpointer.
+    pub(crate) fn channel() -> (Self, Receiver<StatedBattery>, Arc<AtomicU64>) {
+        let (to, from) = sync_channel(MAX_STATED as usize);
+        let taken = Arc::<AtomicU64>::default();
+        (Self { to, sent: 0, taken: Arc::clone(&taken) }, from, taken)
+    }
+
+    pub(crate) fn has_room(&self) -> bool {
+        self.sent - self.taken.load(Ordering::Relaxed) < MAX_STATED
+    }
+
+    /// Sends one, if there is room.
+    pub(crate) fn send(&mut self, stated: StatedBattery) {
+        self.sent += u64::from(self.to.try_send(stated).is_ok());
+    }
+}
+
 /// Failures of the worker's loop, counted there and logged by the checkpointer.
 #[derive(Debug, Default)]
 pub(crate) struct Failures {
@@ -60,11 +90,11 @@ pub(crate) fn start(
     config: &Config,
     before: SavedLedger,
     (failures, errors): (Arc<Failures>, Arc<SentErrors>),
-    orders: KeyframeOrders,
+    (orders, stated): (KeyframeOrders, (Receiver<StatedBattery>, Arc<AtomicU64>)),
 ) -> Result<Background, CheckpointerError> {
     let (domain, config) = (domain.clone(), config.clone());
     Background::start(THREAD, move || {
-        Checkpointer::open(&domain, &config, before, (failures, errors), orders)
+        Checkpointer::open(&domain, &config, before, (failures, errors), (orders, stated))
     })
 }
 
@@ -77,6 +107,8 @@ struct Checkpointer {
     _bus: Bus,
     failures: Arc<Failures>,
     errors: Arc<SentErrors>,
+    /// Stated batteries, and how many were taken.
+    stated: (Receiver<StatedBattery>, Arc<AtomicU64>),
     checkpoint: Checkpoint,
     /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
@@ -101,7 +133,7 @@ impl Checkpointer {
         config: &Config,
         SavedLedger { checkpoint, files }: SavedLedger,
         (failures, errors): (Arc<Failures>, Arc<SentErrors>),
-        orders: KeyframeOrders,
+        (orders, stated): (KeyframeOrders, (Receiver<StatedBattery>, Arc<AtomicU64>)),
     ) -> Result<Self, CheckpointerError> {
         let bus = Bus::join(domain, "checkpointer")?;
         let limits = config.limits();
@@ -121,6 +153,7 @@ impl Checkpointer {
             _bus: bus,
             failures,
             errors,
+            stated,
             checkpoint,
             files,
             // A capacity that is lowered takes no account.
@@ -140,6 +173,15 @@ impl Checkpointer {
             log_ns: 0,
             next_log_ns: 0,
         })
+    }
+
+    fn take_stated(&mut self) {
+        let (stated, taken) = &self.stated;
+        while let Ok(stated) = stated.try_recv() {
+            self.checkpoint.state(&stated);
+            self.changed = true;
+            taken.fetch_add(1, Ordering::Relaxed);
+        }
     }
 
     fn read_budgets(&mut self) {
@@ -271,6 +313,7 @@ impl Checkpointer {
 
 impl Steps for Checkpointer {
     fn step(&mut self, last: bool) -> Option<Duration> {
+        self.take_stated();
         self.read_budgets();
         let now_ns = clock::monotonic_ns();
         if last || now_ns >= self.schedule.next_ns() {

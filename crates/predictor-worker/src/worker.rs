@@ -17,7 +17,9 @@ use joulebus_settings::{Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement};
 
 use crate::checkpoint::SentErrors;
-use crate::checkpointer::{self, CheckpointerError, Failures, THREAD as CHECKPOINTER, read_ledger};
+use crate::checkpointer::{
+    self, CheckpointerError, Failures, StatedBatteries, THREAD as CHECKPOINTER, read_ledger,
+};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
@@ -72,8 +74,12 @@ pub struct Worker {
     current_permit: Arc<CurrentPermit>,
     /// Set for a worker that needs a permit.
     standby: Option<Standby>,
-    /// What persons state of robots.
-    statements: Option<Receiver<(u32, Statement)>>,
+    /// What persons state of robots, and how many of these a tick has taken whose budgets and journal
+    /// are sent.
+    statements: Option<(Receiver<(u32, Statement)>, Arc<AtomicU64>)>,
+    /// Number of those taken that do not count yet.
+    uncounted: u64,
+    stated_batteries: StatedBatteries,
     /// Refusals, for another thread.
     refusals: Option<Arc<Mutex<RefusalLog>>>,
     /// Threads of others whose end ends the run.
@@ -235,12 +241,13 @@ impl Worker {
         let journal = Journal::open(&bus, &limits)?;
         let failures = Arc::new(Failures::default());
         let (keyframes, orders) = keyframes(Arc::clone(&current_permit));
+        let (stated_batteries, stated, taken) = StatedBatteries::channel();
         let checkpointer = checkpointer::start(
             &domain,
             config,
             before,
             (Arc::clone(&failures), Arc::clone(&errors)),
-            orders,
+            (orders, (stated, taken)),
         )?;
         // After the threads that must not have it are started, because threads inherit it.
         for refused in schedule_process(config.scheduling())? {
@@ -292,6 +299,8 @@ impl Worker {
             current_permit,
             standby: None,
             statements: None,
+            uncounted: 0,
+            stated_batteries,
             refusals: None,
             needed: Vec::new(),
         })
@@ -433,9 +442,14 @@ impl Worker {
     }
 
     /// Takes from there what persons state of robots: see [`Fleet::take_statement`]. The channel's
-    /// bound is how many wait for a tick at most.
-    pub fn take_statements_from(&mut self, statements: Receiver<(u32, Statement)>) {
-        self.statements = Some(statements);
+    /// bound is how many wait for a tick at most. Counts in `taken` those that a tick has taken
+    /// whose budgets and journal are sent.
+    pub fn take_statements_from(
+        &mut self,
+        statements: Receiver<(u32, Statement)>,
+        taken: Arc<AtomicU64>,
+    ) {
+        self.statements = Some((statements, taken));
     }
 
     /// Copies the refusals there after each tick, unless another thread has the lock at that moment.
@@ -594,15 +608,20 @@ impl Worker {
         }
     }
 
-    /// Takes the statements that wait. Those for which the journal has no room wait for the next
-    /// tick. Neither blocks nor locks: whoever sends them does not wait for room in the channel.
+    /// Takes the statements that wait. Those for which journal or ledger have no room wait for the
+    /// next tick. Neither blocks nor locks: whoever sends them does not wait for room in the channel.
     fn take_statements(&mut self, now_ns: u64) {
-        let Some(statements) = &self.statements else {
+        let Some((statements, _)) = &self.statements else {
             return;
         };
-        while let Ok((robot, stated)) = statements.try_recv() {
+        while self.stated_batteries.has_room()
+            && let Ok((robot, stated)) = statements.try_recv()
+        {
             self.journal.note_statement((robot, stated), now_ns);
-            self.fleet.take_statement(robot, stated, now_ns);
+            if let Some(battery) = self.fleet.take_statement(robot, stated, now_ns) {
+                self.stated_batteries.send(battery);
+            }
+            self.uncounted += 1;
             // After one at least: the frames of a flooding source may fill each journal.
             if !self.journal.has_room() {
                 break;
@@ -619,13 +638,18 @@ impl Worker {
         let left_out = self.outbox.left_out(self.shedding.sheds);
         let unsent =
             self.outbox.tick((&mut self.fleet, &self.pool), header, left_out, &self.current_permit);
-        self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
+        let unsent_before = self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         if !self.current_permit.holds(clock::boot_ns()) {
             // The next turn ends it.
             return;
         }
         let place = (self.header.worker_epoch, self.header.tick);
         self.journal.send(place, start_ns, (missed, left_out), &self.failures.unsent);
+        if let Some((_, taken)) = &self.statements
+            && self.failures.unsent.load(Ordering::Relaxed) == unsent_before
+        {
+            taken.fetch_add(std::mem::take(&mut self.uncounted), Ordering::Release);
+        }
         self.keyframes.offer(&self.fleet, place);
         self.errors.send(&self.fleet);
         if let Some(refusals) = &self.refusals
@@ -725,6 +749,79 @@ mod tests {
             worker.current_permit.begin(&renewed(4, 1));
             assert!(matches!(worker.poll(), Err(RunError::Permit(_))), "{permit:?}");
         }
+        let _ = worker.finish();
+        let _ = std::fs::remove_dir_all(&root);
+    }
+
+    /// A worker ticks until that is the case. Returns it.
+    fn tick(mut worker: Worker, mut until: impl FnMut(&Worker) -> bool) -> Worker {
+        let begun_ns = clock::monotonic_ns();
+        while !worker.poll().unwrap() || !until(&worker) {
+            assert!(clock::monotonic_ns() - begun_ns < 180_000_000_000, "not after three minutes");
+        }
+        worker
+    }
+
+    #[test]
+    fn what_is_stated_of_a_robot_that_is_not_there_outlasts_the_worker() {
+        let folder = tempfile::tempdir().unwrap();
+        let root = format!("/dev/shm/joulebus-test-absent-{}", std::process::id());
+        let root = std::path::PathBuf::from(root);
+        let ledger = folder.path().join("ledger.json");
+        let text = format!(
+            "[fleet]\nname = \"absent\"\ncapacity = 2\n[domain]\nroot = {root:?}\nprefix = \"t_\"\n\
+             [ledger]\ncheckpoint = {ledger:?}\n\
+             [[platform]]\nfile = \"builtin:gternal\"\nrobots = [1, 2]\n"
+        );
+        let config = Config::parse(&text, &root.join("nowhere")).unwrap();
+        let saved = || -> Option<serde_json::Value> {
+            let saved = serde_json::from_slice::<serde_json::Value>(&std::fs::read(&ledger).ok()?);
+            Some(saved.ok()?["ledger"]["robots"]["1"].take())
+        };
+        let worker = Worker::open(&config).unwrap();
+        let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
+        let mut source = bus.sample_writer(&config.limits(), 1).unwrap();
+        let now_ns = clock::monotonic_ns();
+        let header = joulebus_wire::SampleHeader {
+            schema: SCHEMA_VERSION,
+            source_id: 1,
+            source_epoch: now_ns,
+            sent_ns: now_ns,
+            ..Default::default()
+        };
+        let sample = Sample::new(1, 0, now_ns).command(0.1, 0.0).reading(3.5, now_ns);
+        source.send(header, 1, |_| sample).unwrap();
+        let worker = tick(worker, |worker| worker.report().samples_accepted == 1);
+        drop((source, bus));
+        let _ = worker.finish();
+        let (to, statements) = std::sync::mpsc::sync_channel(2);
+        let mut worker = Worker::open(&config).unwrap();
+        let taken = Arc::<AtomicU64>::default();
+        worker.take_statements_from(statements, Arc::clone(&taken));
+        to.send((1, Statement::Charge(0.375))).unwrap();
+        // The ledger knows nothing of this one.
+        to.send((2, Statement::Full)).unwrap();
+        let _ = tick(worker, |_| taken.load(Ordering::Relaxed) == 2).finish();
+        let robot = saved().unwrap();
+        assert_eq!((&robot["battery"]["soc"], &robot["stamp_ns"]), (&0.375.into(), &now_ns.into()));
+        assert!(robot["battery"]["soc_lo"].as_f64() > Some(0.2), "{robot}");
+        // The robot comes back to the next one.
+        let worker = Worker::open(&config).unwrap();
+        let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
+        let mut source = bus.sample_writer(&config.limits(), 1).unwrap();
+        let mut budgets = bus.reader::<joulebus_wire::Budgets>(&config.limits()).unwrap();
+        let now_ns = clock::monotonic_ns();
+        let header =
+            joulebus_wire::SampleHeader { source_epoch: now_ns, sent_ns: now_ns, ..header };
+        let sample = Sample::new(1, 0, now_ns).command(0.1, 0.0).reading(3.5, now_ns);
+        source.send(header, 1, |_| sample).unwrap();
+        let mut soc = f32::NAN;
+        let worker = tick(worker, |_| {
+            budgets.take_all(|_, rows| soc = rows.first().map_or(soc, |row| row.soc)).unwrap();
+            !soc.is_nan()
+        });
+        assert!((soc - 0.375).abs() < 0.02, "{soc}");
+        drop((source, budgets, bus));
         let _ = worker.finish();
         let _ = std::fs::remove_dir_all(&root);
     }

@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
@@ -124,7 +125,7 @@ fn measure(case: Case) {
     let stop = AtomicBool::new(false);
     let mut worker = Worker::open(&config).unwrap();
     let (ask, statements) = sync_channel(4);
-    worker.take_statements_from(statements);
+    worker.take_statements_from(statements, Arc::default());
     std::thread::scope(|scope| {
         let _end = OnDrop(&stop);
         scope.spawn(|| feed(&domain, &config, case.robots, &sent, &stop));

@@ -4,6 +4,7 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::time::{Duration, Instant};
@@ -205,7 +206,8 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         eventually(|| early_ready.load(Ordering::Relaxed));
         let mut worker = Worker::open(&config).unwrap();
         let (ask, statements) = sync_channel(8);
-        worker.take_statements_from(statements);
+        let stated = Arc::default();
+        worker.take_statements_from(statements, Arc::clone(&stated));
         scope.spawn(|| feed(&config, &stop));
         // Ticks only when both have read all but the last few, because on a busy machine frames
         // would be overwritten before they are read.
@@ -227,7 +229,9 @@ fn every_tick_can_be_recomputed_from_the_first_and_from_a_later_keyframe() {
         for stated in STATED {
             ask.send(stated).unwrap();
         }
+        assert_eq!(stated.load(Ordering::Acquire), 0);
         run(1);
+        assert_eq!(stated.load(Ordering::Acquire), 3 + STATED.len() as u64);
         let late = scope.spawn(|| record(&config, &late_ready, &read_late, &stop));
         // Tick only after the late reader has opened its ports, and wait for its first frame. It
         // may get no processor for so long that frames are overwritten.
@@ -271,7 +275,7 @@ fn a_flood_of_frames_holds_no_new_normal_back() {
     let config = Config::parse(&text, &root.join("nowhere")).unwrap();
     let mut worker = Worker::open(&config).unwrap();
     let (ask, statements) = sync_channel(1);
-    worker.take_statements_from(statements);
+    worker.take_statements_from(statements, Arc::default());
     let bus = Bus::join(&config.domain().unwrap(), "source").unwrap();
     let mut writer = bus.sample_writer(&config.limits(), 1).unwrap();
     let mut ticks = bus.reader::<Ticks>(&config.limits()).unwrap();

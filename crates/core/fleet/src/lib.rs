@@ -17,7 +17,7 @@ pub use fleet::online_forecasts::{IntervalForecast, OnlineForecasts, OnlineSetti
 pub use ingest::frame::{FrameIntake, TickIntake};
 pub use ingest::refused::{RefusalLog, RefusedSamples};
 pub use joulebus_energy::ErrorCounts;
-pub use ledger::battery::{SavedBattery, SavedLessons, SavedPause};
+pub use ledger::battery::{SavedBattery, SavedLessons, SavedPause, StatedBattery};
 pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};
 pub use tick::batch::Batch;

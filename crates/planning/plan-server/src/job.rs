@@ -30,7 +30,7 @@ pub(crate) struct Job {
     pub(crate) state: State,
     /// Number of times that its computation restarted because the robots' state had become stale.
     pub(crate) renewals: u32,
-    /// When its acknowledgement was first entered, or its statement passed on, monotonic ns.
+    /// When its acknowledgement was first entered, monotonic ns.
     pub(crate) entered_ns: Option<u64>,
     watch: Option<PeerWatch>,
 }
@@ -43,6 +43,8 @@ pub(crate) enum State {
     Acknowledging(Acknowledgement),
     /// A robot, what is stated of its battery, and by whom.
     Stating(u32, Statement, String),
+    /// Waits until the worker has taken the statement of this number.
+    Stated(u64),
 }
 
 impl Job {
@@ -86,7 +88,7 @@ impl Job {
     pub(crate) const fn acknowledgement(&self) -> Option<Acknowledgement> {
         match self.state {
             State::Acknowledging(row) => Some(row),
-            State::Waiting(_) | State::Working(_) | State::Stating(..) => None,
+            _ => None,
         }
     }
 
@@ -106,7 +108,7 @@ impl Job {
     pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
         let limit_ns = self.taken_ns.saturating_add(MAX_AGE_NS);
         // What the worker has got is not refused for its time.
-        let is_stated = self.entered_ns.is_some() && matches!(self.state, State::Stating(..));
+        let is_stated = matches!(self.state, State::Stated(_));
         if !is_stated && now_ns >= self.header.deadline_ns.min(limit_ns) {
             let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
             let text =

@@ -7,11 +7,11 @@ mod fair;
 mod job;
 mod records;
 mod server;
+mod statements;
 
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::SyncSender;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -19,16 +19,15 @@ use joulebus_bus::{Background, Steps, ThreadWatch, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_models::{ModelsError, load_models};
 use joulebus_plan::Fleet;
-use joulebus_wire::{QueryCounts, Statement};
+use joulebus_wire::QueryCounts;
 use serde::Serialize;
 
 use acknowledgements::Table;
 use server::Server;
+pub use statements::Statements;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
 const OPEN_EVERY: Duration = Duration::from_millis(20);
-/// Statements of persons that wait for the worker's next tick, at most.
-pub const MAX_STATEMENTS: usize = 64;
 /// Timeout of the first opening, for which a worker waits, and the interval of its checks.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(2);
 const POLL_INTERVAL: Duration = Duration::from_millis(1);
@@ -77,14 +76,14 @@ impl PlanServer {
     /// opened, because the thread would inherit the worker's CPUs and priority. It opens nothing
     /// yet.
     ///
-    /// `statements` leads to the worker of this process. It gets what persons state of robots.
-    /// Without it a new normal and the state of a battery are refused.
+    /// `statements` leads to the worker of this process. Without it a new normal and the state of a
+    /// battery are refused.
     ///
     /// # Errors
     /// [`StartError`].
     pub fn start(
         config: &Config,
-        statements: Option<SyncSender<(u32, Statement)>>,
+        statements: Option<Statements>,
     ) -> Result<Self, StartError> {
         let shared = Arc::new(Shared::default());
         let thread = if config.queries().answer {
@@ -150,7 +149,7 @@ struct Answering {
     config: Config,
     models: Fleet,
     shared: Arc<Shared>,
-    statements: Option<SyncSender<(u32, Statement)>>,
+    statements: Option<Statements>,
     server: Option<Server>,
     begun_ns: u64,
     counts: QueryCounts,
@@ -164,7 +163,7 @@ impl Answering {
         config: Config,
         models: Fleet,
         shared: Arc<Shared>,
-        statements: Option<SyncSender<(u32, Statement)>>,
+        statements: Option<Statements>,
     ) -> Self {
         yield_to_the_worker(config.queries().nice);
         Self {

@@ -1,6 +1,6 @@
 //! The ports, and the order in which questions are answered.
 
-use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::mpsc::TrySendError;
 
 use joulebus_bus::{Bus, Limits, QueryServer, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
@@ -17,6 +17,7 @@ use crate::error::ServerError;
 use crate::fair::Fair;
 use crate::job::{Job, State};
 use crate::records::Records;
+use crate::statements::Statements;
 
 /// Questions and statements of one process that may wait.
 const MAX_OF_A_PROCESS: usize = 4;
@@ -49,7 +50,7 @@ pub(crate) struct Server {
     fair: Fair,
     counts: QueryCounts,
     /// To the worker of this process, if there is one.
-    statements: Option<SyncSender<(u32, Statement)>>,
+    statements: Option<Statements>,
     /// When a client was connected last, monotonic ns.
     asked_ns: u64,
 }
@@ -60,7 +61,7 @@ impl Server {
     pub(crate) fn open(
         config: &Config,
         models: &Fleet,
-        statements: Option<&SyncSender<(u32, Statement)>>,
+        statements: Option<&Statements>,
         (begun_ns, counts, table): (u64, QueryCounts, Table),
     ) -> Result<Self, ServerError> {
         let bus = Bus::join(&config.domain()?, "queries")?;
@@ -104,7 +105,7 @@ impl Server {
         let clients = self.server.clients();
         self.take()?;
         self.acknowledge()?;
-        self.answer_stated(false)?;
+        self.answer_stated()?;
         self.connect(clients)?;
         let (next, is_awaited) = self.next()?;
         match next {
@@ -136,12 +137,13 @@ impl Server {
         Ok(Self { jobs: Vec::new(), server: self.bus.query_server(&self.limits)?, ..self })
     }
 
-    /// Refuses all questions, because the worker ends.
+    /// Refuses all questions, because the worker ends, and the statements that no tick has taken.
     pub(crate) fn end(&mut self) -> Result<(), ServerError> {
         let taken = self.take();
-        self.answer_stated(true)?;
+        self.answer_stated()?;
         for job in std::mem::take(&mut self.jobs) {
-            let text = "the worker ends: ask again when it has been started again".to_owned();
+            let what = if matches!(job.state, State::Stated(_)) { "state it" } else { "ask" };
+            let text = format!("the worker ends: {what} again when it has been started again");
             self.refuse(job, &Refused::new(QueryRefusal::Ending, text))?;
         }
         self.records.flush(self.counts, true)?;
@@ -188,19 +190,16 @@ impl Server {
         let (robot, statement, by) = (*robot, *statement, by.clone());
         // Who gave up has not stated it.
         job.is_over(now_ns).map_or(Ok(()), Err)?;
-        self.state_battery(robot, statement, &by)?;
-        job.entered_ns = Some(now_ns);
+        job.state = State::Stated(self.state_battery(robot, statement, &by)?);
         Ok(())
     }
 
-    /// Answers statements after a tick's period, when the worker has taken them. They count as
-    /// waiting until then, so that one process cannot take all places of [`crate::MAX_STATEMENTS`].
-    fn answer_stated(&mut self, is_last: bool) -> Result<(), ServerError> {
-        let before_ns = clock::monotonic_ns().saturating_sub(self.config.tick_period_ns());
-        let is_due = |job: &mut Job| {
-            matches!(job.state, State::Stating(..))
-                && (is_last || job.entered_ns.is_some_and(|entered_ns| entered_ns <= before_ns))
-        };
+    /// Answers the statements that the worker has taken. They count as waiting until then, so that
+    /// one process cannot take all places.
+    fn answer_stated(&mut self) -> Result<(), ServerError> {
+        let worker = self.statements.as_ref();
+        let has_taken = |number| worker.is_some_and(|worker| worker.has_taken(number));
+        let is_due = |job: &mut Job| matches!(job.state, State::Stated(of) if has_taken(of));
         let stated: Vec<Job> = self.jobs.extract_if(.., is_due).collect();
         stated.into_iter().try_for_each(|job| self.answer(job, |_| Reply::default()))
     }
@@ -238,20 +237,25 @@ impl Server {
                 None if is_new_normal => entered.or_else(busy_is_no_reason).and_then(|()| {
                     let (robot, normal) = (row.robot, Statement::NewNormal);
                     let but = "is acknowledged, but not as its new normal";
-                    self.pass_on(robot, normal, but)
+                    self.pass_on(robot, normal, but).map(Some)
                 }),
-                None => entered,
+                None => entered.map(|()| None),
             };
             match taken {
-                Ok(()) => self.answer(job, |_| Reply::default())?,
+                Ok(None) => self.answer(job, |_| Reply::default())?,
+                Ok(Some(number)) => {
+                    job.state = State::Stated(number);
+                    self.jobs.insert(place, job);
+                    place += 1;
+                }
                 Err(refused) => self.refuse(job, &refused)?,
             }
         }
         Ok(())
     }
 
-    /// Has the worker take what `by` states of a robot's battery.
-    fn state_battery(&self, robot: u32, statement: Statement, by: &str) -> Result<(), Refused> {
+    /// Has the worker take what `by` states of a robot's battery. Returns the statement's number.
+    fn state_battery(&self, robot: u32, statement: Statement, by: &str) -> Result<u64, Refused> {
         let refused = |reason, text: String| Err(Refused::new(reason, text));
         if self.statements.is_none() {
             let text = "this host has no worker that takes it: ask on the host that has one";
@@ -270,17 +274,17 @@ impl Server {
             );
             return refused(QueryRefusal::Question, text);
         }
-        self.pass_on(robot, statement, "keeps its battery as it was")?;
+        let number = self.pass_on(robot, statement, "keeps its battery as it was")?;
         // As visible as what a pause has cost.
         tracing::warn!("robot {robot}: {statement}, states {by}");
-        Ok(())
+        Ok(number)
     }
 
     /// Has the next tick of the worker take what a person states of a robot. `but` says what is the
-    /// case if it does not.
-    fn pass_on(&self, robot: u32, statement: Statement, but: &str) -> Result<(), Refused> {
+    /// case if it does not. Returns the statement's number.
+    fn pass_on(&self, robot: u32, statement: Statement, but: &str) -> Result<u64, Refused> {
         let sent = self.statements.as_ref();
-        let sent = sent.map_or(Ok(()), |worker| worker.try_send((robot, statement)));
+        let sent = sent.map_or(Ok(0), |worker| worker.send((robot, statement)));
         sent.map_err(|error| {
             let (reason, why) = match error {
                 TrySendError::Full(_) => (QueryRefusal::Busy, "too many wait. Ask again"),
@@ -334,7 +338,7 @@ impl Server {
         let is_ready = |job: &&(usize, &Job)| match job.1.state {
             State::Working(_) => true,
             State::Waiting(_) => is_current || job.1.is_impatient(now_ns, period_ns, has_frame),
-            State::Acknowledging(_) | State::Stating(..) => false,
+            State::Acknowledging(_) | State::Stating(..) | State::Stated(_) => false,
         };
         let ready: Vec<(usize, &Job)> =
             jobs.iter().enumerate().filter(|job| is_ready(&job)).collect();

@@ -11,7 +11,7 @@ use crate::ingest::check;
 use crate::ingest::frame::FrameIntake;
 use crate::ingest::pending::{Pending, PendingState};
 use crate::layout::lanes::{self, Block as _, LANES};
-use crate::ledger::battery::{At, BatteryState, Known};
+use crate::ledger::battery::{At, BatteryState, Known, StatedBattery};
 use crate::ledger::departed::Account;
 use crate::ledger::energy::Ledger;
 
@@ -79,7 +79,14 @@ impl Fleet {
     /// with that from now on. That does nothing if the robot is not in the fleet, or its level is not
     /// judged. The state of a battery is that of the account, also of a robot that is not in the
     /// fleet: time before `now_ns` costs it nothing any more.
-    pub fn take_statement(&mut self, robot: u32, statement: Statement, now_ns: u64) {
+    ///
+    /// Returns the battery of a robot that is not in the fleet, which has no budget to save.
+    pub fn take_statement(
+        &mut self,
+        robot: u32,
+        statement: Statement,
+        now_ns: u64,
+    ) -> Option<StatedBattery> {
         let slot = self.find(robot);
         if statement.is_of_battery() {
             return self.state_battery(robot, slot, statement, now_ns);
@@ -89,6 +96,7 @@ impl Fleet {
         {
             levels.accept(slot % LANES);
         }
+        None
     }
 
     fn state_battery(
@@ -97,16 +105,10 @@ impl Fleet {
         slot: Option<usize>,
         statement: Statement,
         now_ns: u64,
-    ) {
-        let platform =
-            self.platform_of(robot).map(|number| &self.tick.platforms[usize::from(number)]);
-        let Some(context) = platform else {
-            return;
-        };
-        let platform = &context.platform;
-        let Some(battery) = &platform.battery else {
-            return;
-        };
+    ) -> Option<StatedBattery> {
+        let number = self.platform_of(robot)?;
+        let platform = &self.tick.platforms[usize::from(number)].platform;
+        let battery = platform.battery.as_ref()?;
         // What is silent beside a period will be unmetered, and lies before the statement.
         let at = |ledger: &Ledger| {
             let silent_ns = ledger.stamp_ns().map_or(0, |stamp_ns| now_ns.saturating_sub(stamp_ns));
@@ -116,18 +118,21 @@ impl Fleet {
             let mut known = lanes::get(&self.columns.batteries, slot);
             let at = at(&lanes::get(&self.columns.ledgers, slot));
             known.state((battery, platform), at, statement);
-            return lanes::set(&mut self.columns.batteries, slot, known);
+            lanes::set(&mut self.columns.batteries, slot, known);
+            return None;
         }
         let is_new = self.departed.ledger(robot).is_none();
         // It takes no place that a robot of the fleet will need when it leaves.
         if is_new && !self.departed.has_room_for(self.len()) {
-            return;
+            return None;
         }
         let account = self.departed.take(robot).unwrap_or(Account::new(robot));
         let used = account.charged || (is_new && self.departed.is_lost(robot));
         let mut known = BatteryState::joining(battery, account.battery, used, &account.ledger);
         known.state((battery, platform), at(&account.ledger), statement);
+        let stamp_ns = account.ledger.stamp_ns().unwrap_or(0);
         self.departed.keep(Account { battery: Known::Kept(known), ..account });
+        Some(StatedBattery { robot, stamp_ns, battery: known.saved(battery) })
     }
 
     fn accept(

@@ -527,6 +527,38 @@ impl BatteryState {
         self.lessons.begin((soc, self.counted, sd));
     }
 
+    /// What an earlier run leaves of it, once its charge is known.
+    pub(crate) fn saved(&self, battery: &Battery) -> SavedBattery {
+        let finite = |watts: f32| Some(watts).filter(|watts| watts.is_finite());
+        let (capacity_j, sd) = (f64::from(self.capacity) * battery.capacity_j, self.capacity_sd);
+        SavedBattery {
+            soc: self.soc as f32,
+            soc_lo: (self.soc - SIGMAS * self.sd - self.below).max(0.0) as f32,
+            soc_hi: (self.soc + SIGMAS * self.sd + self.above).min(1.0) as f32,
+            soc_sd: self.sd as f32,
+            sensor_bias: self.bias as f32,
+            sensor_bias_sd: self.bias_var.sqrt() as f32,
+            sensor_covariance: self.covariance as f32,
+            unmetered_ns: self.unmetered_ns,
+            changes: self.changes,
+            charging: self.charging,
+            measured: self.fused,
+            mean_power_w: finite(self.mean_w),
+            pause: SavedPause {
+                off: self.off,
+                idle_w: finite(self.idle_w),
+                pause_s: self.pause_s,
+                pause: self.pause,
+            },
+            lessons: SavedLessons {
+                capacity_j: capacity_j as f32,
+                capacity_sd_j: (capacity_j * f64::from(sd)) as f32,
+                capacity_weight: self.lessons.weight,
+                charge_rate: self.lessons.charge_rate,
+            },
+        }
+    }
+
     /// True if a sample has to be taken robot by robot. `unmetered_ns`: of the ledger after it.
     #[inline(always)]
     pub(crate) fn needs(&self, seen: &Seen, unmetered_ns: u64) -> bool {
@@ -802,6 +834,17 @@ pub struct SavedBattery {
     /// The same.
     #[serde(skip)]
     lessons: SavedLessons,
+}
+
+/// A battery that a person has stated, of a robot that is not in the fleet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StatedBattery {
+    /// Id of the robot.
+    pub robot: u32,
+    /// Stamp of its last sample, ns, 0 before the first.
+    pub stamp_ns: u64,
+    /// The battery since.
+    pub battery: SavedBattery,
 }
 
 /// What the charges of a battery taught an earlier run. Fields as in [`Budget`].

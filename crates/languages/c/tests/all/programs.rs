@@ -4,11 +4,10 @@
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
-use std::sync::mpsc::sync_channel;
 use std::{fs, thread};
 
 use joulebus_config::{Config, builtin_model};
-use joulebus_plan_server::PlanServer;
+use joulebus_plan_server::{PlanServer, Statements};
 use joulebus_predictor::{INPUTS, Model, Network};
 use joulebus_predictor_worker::Worker;
 use joulebus_testkit::{Child, Ended, Member, PATIENCE, eventually, send_to_test};
@@ -22,10 +21,10 @@ pub(crate) fn member() {
         return;
     };
     let config = Config::load(path).unwrap();
-    let (stated, statements) = sync_channel(8);
+    let (stated, statements, taken) = Statements::channel();
     let server = PlanServer::start(&config, Some(stated)).unwrap();
     let mut worker = Worker::open(&config).unwrap();
-    worker.take_statements_from(statements);
+    worker.take_statements_from(statements, taken);
     server.serve();
     server.wait_until_open();
     send_to_test("ready");
