@@ -43,8 +43,6 @@ pub(super) struct Refusals {
     starts: BTreeMap<u64, (u64, VecDeque<u64>)>,
     /// The newest frame of acknowledged alarms had no room for another, or for one of its alarms.
     acknowledged_full: bool,
-    /// When the last statements that a tick takes were accepted, monotonic ns.
-    stated: VecDeque<u64>,
     hasher: RandomState,
 }
 
@@ -55,7 +53,8 @@ struct Server {
     newest_ns: u64,
     /// The newest record, if it is a refusal whose time the next record confirms.
     last: Option<Waiting>,
-    busy: HashMap<u32, Vec<Busy>>,
+    /// By the client, or `None` for statements that a tick takes: those of all clients count.
+    busy: HashMap<Option<u32>, Vec<Busy>>,
     /// Refusals because the worker ends. Nothing else may follow.
     ending: Vec<Waiting>,
     /// Hashes of refusals by their number, to recognise copies.
@@ -69,12 +68,15 @@ struct Waiting {
     sent_ns: u64,
 }
 
-/// A refusal because others of its process waited, and how many of them have been found.
+/// A refusal because others waited, and how many of them have been found: of its process, and
+/// statements of any.
 #[derive(Debug)]
 struct Busy {
     refusal: Waiting,
+    client: u32,
     taken_ns: u64,
     open: usize,
+    stated: usize,
 }
 
 /// True if the reason of a refusal does not follow from the question and the ticks.
@@ -101,6 +103,15 @@ pub(super) fn is_by_a_person(kind: u32) -> bool {
 fn is_of_tick(record: &QueryRecord) -> bool {
     record.query.kind == QueryKind::Battery.code()
         || record.query.flags & query_flag::NEW_NORMAL != 0
+}
+
+/// True if it waited for a tick, as far as its answer shows.
+fn is_stated(record: &QueryRecord) -> bool {
+    use QueryRefusal as Reason;
+    let after = [Reason::Ending, Reason::ClientGone, Reason::Unsent];
+    let reason = Reason::decode(record.answer.refusal);
+    is_of_tick(record)
+        && (record.answer.refusal == 0 || reason.is_some_and(|reason| after.contains(&reason)))
 }
 
 impl Refusals {
@@ -131,11 +142,6 @@ impl Refusals {
         }
         let reason = QueryRefusal::decode(record.answer.refusal);
         let (taken_ns, sent_ns) = (record.answer.taken_ns, record.answer.sent_ns);
-        if is_of_tick(record) && record.answer.refusal == 0 {
-            self.stated.push_back(sent_ns);
-            let surplus = self.stated.len().saturating_sub(MAX_STATEMENTS);
-            self.stated.drain(..surplus);
-        }
         let is_gone = reason == Some(QueryRefusal::ClientGone);
         // Its client goes on asking: it has given up the question, or its answer was altered.
         let gone = (!is_gone).then(|| self.gone.remove(&record.client)).flatten();
@@ -154,13 +160,17 @@ impl Refusals {
         }
         // Nothing is sent to a client that is gone, so that its record has no times.
         let since_ns = if is_gone { record.query.asked_ns } else { taken_ns };
-        if reason != Some(QueryRefusal::Busy)
-            && let Some(busy) = server.busy.get_mut(&record.client)
-        {
+        let is_stated = is_stated(record);
+        for of in [Some(record.client), None] {
+            let busy = server.busy.get_mut(&of);
+            let Some(busy) = busy.filter(|_| reason != Some(QueryRefusal::Busy)) else {
+                continue;
+            };
             busy.retain_mut(|busy| {
                 let is_open = since_ns <= busy.taken_ns && (is_gone || sent_ns >= busy.taken_ns);
-                busy.open += usize::from(is_open);
-                let is_proven = busy.open >= MAX_OF_A_PROCESS;
+                busy.open += usize::from(is_open && busy.client == record.client);
+                busy.stated += usize::from(is_open && is_stated && of.is_none());
+                let is_proven = busy.open >= MAX_OF_A_PROCESS || busy.stated >= MAX_STATEMENTS;
                 if is_proven {
                     busy.refusal.settle(Loss::ByTime, report);
                 }
@@ -184,15 +194,9 @@ impl Refusals {
     ) {
         use QueryRefusal as Reason;
         let answer = &record.answer;
-        let is_acknowledgement = is_by_a_person(record.query.kind);
+        let is_acknowledgement = record.query.kind == QueryKind::Acknowledge.code();
         let refusal = Waiting { run, sent_ns: answer.sent_ns };
         let hash = self.hasher.hash_one(bytes_of(record));
-        let is_battery = record.query.kind == QueryKind::Battery.code();
-        // Each tick takes all that wait.
-        let ticks = self.starts.last_key_value().and_then(|(_, (_, last))| last.front());
-        let since_ns = ticks.copied().unwrap_or(0);
-        let all = self.stated.len() >= MAX_STATEMENTS;
-        let statements_wait = all && self.stated.front().is_some_and(|first| *first >= since_ns);
         let server = self.servers.entry(record.begun_ns).or_default();
         if !is_new {
             let is_copy = server.seen.get(&record.number) == Some(&hash);
@@ -224,17 +228,17 @@ impl Refusals {
             {
                 server.last = Some(refusal);
             }
-            // No more alarms are kept, or no more statements wait for the tick.
+            // No more alarms are kept.
             Some(Reason::Busy)
-                if answer.tick == 0
-                    && (is_acknowledgement && !is_battery && self.acknowledged_full
-                        || is_of_tick(record) && statements_wait) =>
+                if answer.tick == 0 && is_acknowledgement && self.acknowledged_full =>
             {
                 refusal.settle(Loss::ByTime, report);
             }
             Some(Reason::Busy) if is_in_order && is_newest && answer.tick == 0 => {
-                let busy = Busy { refusal, taken_ns: answer.taken_ns, open: 0 };
-                server.busy.entry(record.client).or_default().push(busy);
+                let (client, taken_ns) = (record.client, answer.taken_ns);
+                let busy = Busy { refusal, client, taken_ns, open: 0, stated: 0 };
+                let of = (!is_of_tick(record)).then_some(client);
+                server.busy.entry(of).or_default().push(busy);
             }
             Some(Reason::Ending) if is_in_order && is_newest => server.ending.push(refusal),
             _ => refusal.settle(Loss::Unproven, report),

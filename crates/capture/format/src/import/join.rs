@@ -331,13 +331,10 @@ impl Track {
     /// Takes a battery's packs in one message: mostly one.
     fn reading(&mut self, times: Times, states: &[BatteryState], pack: usize) {
         let packs: Vec<Mapped> = states.iter().map(|state| self.map(state)).collect();
-        let (Some(state), Some(first)) = (states.first(), packs.first()) else {
+        let Some(state) = states.first() else {
             return self.battery.refuse("it has no battery");
         };
-        let mut mapped = match packs.len() {
-            1 => *first,
-            count => whole(&vec![1.0; count], &packs),
-        };
+        let mut mapped = whole(&vec![1.0; packs.len()], &packs);
         let voltage_v = mapped.seen.voltage_v;
         if states.iter().any(|state| !state.present) && voltage_v.is_nan() {
             return self.battery.refuse("it reports that there is no battery (`present` is false)");

@@ -201,10 +201,20 @@ fn gone(query: &mut Query) {
 
 /// An acknowledgement of an alarm, accepted.
 fn acknowledgement(query: &mut Query) {
-    let alarm = Alarm::OutOfRange;
+    let (alarm, fleet) = (Alarm::OutOfRange, fnv1a("lab".bytes()));
+    by_a_person(
+        query,
+        joulebus_plan::acknowledgement::encode(3, alarm, "ann", false, fleet).unwrap(),
+    );
+}
+
+/// A statement of a battery, accepted.
+fn statement(query: &mut Query) {
     let fleet = fnv1a("lab".bytes());
-    let (header, values) =
-        joulebus_plan::acknowledgement::encode(3, alarm, "ann", false, fleet).unwrap();
+    by_a_person(query, joulebus_plan::statement::encode(3, Statement::Full, "ann", fleet).unwrap());
+}
+
+fn by_a_person(query: &mut Query, (header, values): (QueryHeader, Vec<f64>)) {
     let times = query.record.query;
     query.record.query =
         QueryHeader { asked_ns: times.asked_ns, deadline_ns: times.deadline_ns, ..header };
@@ -216,14 +226,36 @@ fn acknowledgement(query: &mut Query) {
 
 /// Waits of a process: four questions wait, and the fifth is refused at once.
 fn four_wait(messages: &mut Messages, open: usize, change: impl Fn(&mut Query)) {
-    ask_at(messages, &[(65, 7), (66, 7), (66, 7), (66, 7), (66, 7), (66, 8)], |query, place| {
+    let asked = [(65, 7), (66, 7), (66, 7), (66, 7), (66, 7), (66, 8)];
+    wait(messages, &asked, open, |query, place| {
+        if place == 0 {
+            change(query);
+        }
+    });
+}
+
+/// Statements of many processes wait for a tick, and another one is refused at once.
+fn statements_wait(messages: &mut Messages, open: usize, change: impl Fn(&mut Query, usize)) {
+    let others = (0..64).map(|number| (66, 8 + number / 4));
+    let asked: Vec<(u64, u32)> = std::iter::once((65, 7)).chain(others).collect();
+    wait(messages, &asked, open, change);
+}
+
+/// The first is refused while `open` of the others wait.
+fn wait(
+    messages: &mut Messages,
+    asked: &[(u64, u32)],
+    open: usize,
+    change: impl Fn(&mut Query, usize),
+) {
+    ask_at(messages, asked, |query, place| {
+        change(query, place);
         let answer = &mut query.record.answer;
         match place {
             0 => {
                 answer.taken_ns = answer.sent_ns;
                 query.record.query.asked_ns = answer.taken_ns;
                 refused_unseen(query, QueryRefusal::Busy);
-                change(query);
             }
             // Taken after the refusal: it did not wait then.
             place if place > open => answer.taken_ns = answer.sent_ns,
@@ -779,6 +811,26 @@ const TABLE: &[(&str, Verdict, Mutate)] = &[
         four_wait(messages, 1, |_| {});
         let copy = messages[messages.len() - 5].clone();
         messages.extend([copy.clone(), copy.clone(), copy]);
+    }),
+    ("a statement refused while 64 of other processes wait for a tick", Verified, |messages| {
+        statements_wait(messages, 64, |query, _| statement(query));
+    }),
+    ("a statement refused as if 64 waited, of which one came later", Incomplete, |messages| {
+        statements_wait(messages, 63, |query, _| statement(query));
+    }),
+    ("a statement refused as if 64 waited, of which one is a question", Incomplete, |messages| {
+        statements_wait(messages, 64, |query, place| {
+            if place != 9 {
+                statement(query);
+            }
+        });
+    }),
+    ("a question refused as if 64 statements were its own", Incomplete, |messages| {
+        statements_wait(messages, 64, |query, place| {
+            if place > 0 {
+                statement(query);
+            }
+        });
     }),
     ("an answer refused as if others waited, alone", Incomplete, |messages| {
         ask_at(messages, &[(65, 7)], |query, _| refused_unseen(query, QueryRefusal::Busy));
