@@ -49,7 +49,8 @@ def test_the_parameters_that_made_the_power_are_found():
     found = rmf.fit([drive(seed) for seed in range(3)], capacity_wh=960.0, charging_a=26.4)
     for name, value in MADE.items():
         assert found.data[name] == pytest.approx(value, rel=0.05), name
-    assert all(found.data["from"][name] == "fitted" for name in MADE)
+    assert all(found.data["from"][name].startswith("fitted") for name in MADE)
+    assert found.data["from"]["friction_coefficient"] == "fitted, for this mass"
     errors = found.data["errors"]
     assert errors["rmf_battery"] < 0.01 < errors["mean_power"]
     # A given mass is taken, and the friction stays what the distance costs.
@@ -57,6 +58,7 @@ def test_the_parameters_that_made_the_power_are_found():
     friction_n = given.data["friction_coefficient"] * 100.0
     assert friction_n == pytest.approx(MADE["friction_coefficient"] * MADE["mass_kg"], rel=0.1)
     assert given.data["from"]["mass_kg"] == "given" and given.data["tool_w"] == 3.0
+    assert given.data["from"]["friction_coefficient"] == "fitted"
     assert given.data["ambient_w"] == pytest.approx(30.0, rel=0.05)
     assert given.data["errors"]["rmf_battery"] is None
 

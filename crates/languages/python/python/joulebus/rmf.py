@@ -201,7 +201,7 @@ def fit(
     paths, trials = _read(recordings, columns, current, accept)
     drives = [(trial, windows) for trial in trials if len(windows := _windows(trial))]
     if not drives:
-        raise ValueError(f"none of {len(trials)} recordings has velocities and power for {STEP_S} s, give some with both")
+        raise ValueError(f"none of {len(trials)} recordings has velocities and power for {STEP_S} s, in rows up to {_GAP_S:g} s apart: give some")
     parts = [windows for _, windows in drives]
     every = np.concatenate(parts)
     fixed = {at: value for at, value in enumerate([mass_kg, moment_of_inertia_kgm2]) if value is not None}
@@ -217,7 +217,8 @@ def fit(
             found[at] = _NONE * abs(every[:, 4].sum()) / drawn if drawn > _ROUNDING_W * every[:, 3].sum() else 1.0
     data |= {"mass_kg": float(found[0]), "moment_of_inertia_kgm2": float(found[1]), "ambient_w": float(found[3] + hotel_w)}
     data["friction_coefficient"] = float(found[2] / (_GRAVITY * found[0]))
-    origins["friction_coefficient"] = origins.pop("friction_n")
+    # Whoever writes a weight there changes the friction, too.
+    origins["friction_coefficient"] = origins.pop("friction_n") + ("" if 0 in fixed else ", for this mass")
     if hotel_w:
         origins["ambient_w"] += f", and {hotel_w:g} W given"
     _battery(data, origins, given, paths, [trial for trial, _ in drives])
