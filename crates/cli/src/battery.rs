@@ -185,7 +185,7 @@ struct Capacity(f64, f64);
 impl fmt::Display for Capacity {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self(capacity_j, sd_j) = *self;
-        let [lo, hi] = [capacity_j - 2.0 * sd_j, capacity_j + 2.0 * sd_j].map(Joules);
+        let [lo, hi] = [(capacity_j - 2.0 * sd_j).max(0.0), capacity_j + 2.0 * sd_j].map(Joules);
         write!(out, "{} ({lo} to {hi})", Joules(capacity_j))
     }
 }
