@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Lints configs/container: the Containerfile by dockerfile-utils (npm), compose.yaml by
-# podman-compose (PyPI), and that the verbs and options of its commands exist, and that Grafana's
+# podman-compose (PyPI), and that the verbs and options of its commands exist, those of the launch
+# file of ROS 2 and of the units of systemd, too, and that Grafana's
 # provisioning fits it. Worker, controller, page and Prometheus are then started as the file says,
 # without containers, and the page's metrics looked for in Prometheus. Grafana itself is not to be
 # had from a registry of packages. With podman or docker it also builds the image and runs it.
@@ -48,6 +49,7 @@ if [ -x "$tools/python/bin/podman-compose" ] || { python3 -m venv "$tools/python
 import json
 import os
 import pathlib
+import re
 import shutil
 import socket
 import subprocess
@@ -55,6 +57,7 @@ import sys
 import tempfile
 import time
 import urllib.request
+import xml.etree.ElementTree
 
 import yaml
 
@@ -103,6 +106,19 @@ for container in pod["containers"]:
 health = next(line for line in open(sys.argv[3]) if line.strip().startswith("CMD [") and "watch" in line)
 check("HEALTHCHECK", json.loads(health.strip()[4:])[1:])
 print(f"configs/container/kubernetes.yaml: {len(pod['containers'])} containers")
+
+# The commands of ROS 2's launch file, whose variables it declares, and of systemd's units.
+launch = xml.etree.ElementTree.parse("ros2/joulebus_msgs/launch/bridge.launch.xml")
+declared = {one.get("name") for one in launch.iter("arg")}
+commands = [("bridge.launch.xml", one.get("cmd")) for one in launch.iter("executable")]
+assert len(commands) == 2 and set(re.findall(r"\$\(var (\w+)\)", " ".join(text for _, text in commands))) <= declared
+for unit in pathlib.Path("configs/systemd").glob("*.service"):
+    lines = (line.removeprefix("ExecStart=/usr/bin/") for line in unit.read_text().splitlines())
+    commands += [(unit.name, line) for line in lines if line.startswith("joulebus")]
+for name, text in commands:
+    program, *words = text.split()
+    check(name, [*program.split("-")[1:], *words])
+print(f"bridge.launch.xml and systemd's units: {len(commands)} commands exist")
 
 # Grafana: what is mounted exists, and provisioning names what the other services have.
 mounts = dict(volume.split(":")[1::-1] for volume in services["grafana"]["volumes"])
