@@ -190,19 +190,6 @@ impl ErrorBounds {
         (0.5 * (lower + upper), 0.5 * (upper - lower))
     }
 
-    /// The interval widened by a robot's own factors.
-    #[inline(always)]
-    #[must_use]
-    pub fn scaled(&self, factors: &[f32; SHADOWS]) -> Self {
-        let mut scaled = *self;
-        for (shadow, factor) in factors.iter().enumerate() {
-            let (middle, half) = self.middle_and_half(shadow);
-            scaled.lower[shadow] = middle - factor * half;
-            scaled.upper[shadow] = middle + factor * half;
-        }
-        scaled
-    }
-
     /// True if every bound is finite, and lower bounds are below upper ones. They are not where
     /// plan states of an older version have none.
     pub fn is_sound(&self) -> bool {

@@ -62,18 +62,13 @@ impl EnergyModel {
 
 impl Lasting {
     /// The power of a robot: of the energy and the time of its longest level, J and s, and what its
-    /// platform has shown, with the robot's own factors of the bounds.
+    /// platform has shown.
     ///
     /// The mean of the platform's robots is the prior of the robot's own over its longest level. The
     /// bounds are those of the longest calibrated horizon, as the robots of the platform have since
     /// widened them. They are not narrowed: those errors are of known commands.
     #[inline(always)]
-    pub fn of(
-        &self,
-        (energy_j, time_s): (f32, f32),
-        platform: &PlatformErrors,
-        factors: &[f32; SHADOWS],
-    ) -> LastingPower {
+    pub fn of(&self, (energy_j, time_s): (f32, f32), platform: &PlatformErrors) -> LastingPower {
         let (fleet_w, bounds) = (self.mean_w * platform.memory.power, &platform.plans);
         let read = time_s > 0.0;
         let (energy_j, time_s) =
@@ -89,7 +84,7 @@ impl Lasting {
         for shadow in 0..SHADOWS {
             let (middle_there, half_there) = bounds.middle_and_half(shadow);
             middle += self.shares[shadow] * middle_there;
-            half += self.shares[shadow] * factors[shadow] * half_there;
+            half += self.shares[shadow] * half_there;
         }
         let (lower, upper) = ((middle - half).min(-1.0), (middle + half).max(1.0));
         let (trained_middle, trained_half) = self.trained;

@@ -29,4 +29,4 @@ pub use model::{EnergyModel, EnergyModelError, HORIZONS_S, Limit, RECORDED_S};
 pub use outlook::{EnergyOutlook, OutlookModel};
 pub use quantiles::{KNOTS, QUANTILES};
 pub use ridge::{Outside, Quantity, RIDGE_TERMS, Ridge};
-pub use state::{Ahead, EnergySample, EnergyState, Learned, Made, Metered};
+pub use state::{EnergySample, EnergyState, Learned, Metered};

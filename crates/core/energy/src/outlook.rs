@@ -146,7 +146,7 @@ impl<const HORIZONS: usize> OutlookModel<HORIZONS> {
             lo_j: [0.0; HORIZONS],
             hi_j: [0.0; HORIZONS],
         };
-        let bounds = platform.outlooks.scaled(&state.ahead.error_factor);
+        let bounds = &platform.outlooks;
         let (mut lower, mut upper) = ([0.0; HORIZONS], [0.0; HORIZONS]);
         for place in 0..HORIZONS {
             for shadow in 0..SHADOWS {

@@ -20,10 +20,6 @@ const SETTLE_S: f32 = 0.75;
 const DUE_S: f32 = -1.0;
 /// The shadow forecast whose power is remembered of the robot: of 1 s.
 const REMEMBERED: usize = 0;
-/// Share of errors outside the interval that the factor of a robot's errors aims at.
-const MISSES: f32 = 0.1;
-/// Limits of that factor.
-const FACTOR: [f32; 2] = [0.5, 8.0];
 
 /// One sample of a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,74 +44,8 @@ pub struct EnergyState {
     pub metered: Metered,
     /// The part that changes when a shadow forecast has ended.
     pub learned: Learned,
-    /// The part of its outlooks that changes with it.
-    pub ahead: Ahead,
-    /// What the running shadow forecasts were made with.
-    pub made: Made,
-    /// Bounds of the robot's intervals: those of its platform, widened by its own factors.
+    /// Bounds of the robot's intervals: those of its platform.
     pub bounds: ErrorBounds,
-}
-
-/// The robot's shadow forecasts as if for a planner that did not know the commands. Each is made
-/// and compared with the one of [`Learned`].
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[repr(C)]
-pub struct Ahead {
-    /// The last reading when each was made, W.
-    pub last_w: [f32; SHADOWS],
-    /// The robot's own mean power then, W.
-    pub own_w: [f32; SHADOWS],
-    /// Factor of the width of the platform's intervals of outlooks.
-    pub error_factor: [f32; SHADOWS],
-}
-
-impl Ahead {
-    /// Before the first shadow forecast has ended.
-    pub const fn new() -> Self {
-        Self { last_w: [0.0; SHADOWS], own_w: [0.0; SHADOWS], error_factor: [1.0; SHADOWS] }
-    }
-
-    /// All numbers, in the order of the fields.
-    #[inline(always)]
-    pub const fn to_array(&self) -> [[f32; SHADOWS]; PARTS] {
-        [self.last_w, self.own_w, self.error_factor]
-    }
-
-    /// Creates it from [`Ahead::to_array`].
-    #[inline(always)]
-    pub const fn from_array([last_w, own_w, error_factor]: [[f32; SHADOWS]; PARTS]) -> Self {
-        Self { last_w, own_w, error_factor }
-    }
-}
-
-impl Default for Ahead {
-    fn default() -> Self {
-        Self::new()
-    }
-}
-
-/// What each running shadow forecast was made with. It is judged as it was made: what the robot has
-/// shown since had no part in it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[repr(C)]
-pub struct Made {
-    /// Trust in commands.
-    pub command_trust: [f32; SHADOWS],
-    /// Power of the outlook, W.
-    pub outlook_w: [f32; SHADOWS],
-}
-
-impl Made {
-    /// Before the first shadow forecast is made.
-    pub const fn new() -> Self {
-        Self { command_trust: [1.0; SHADOWS], outlook_w: [0.0; SHADOWS] }
-    }
-}
-
-impl Default for Made {
-    fn default() -> Self {
-        Self::new()
-    }
 }
 
 /// Sums that every sample adds to, and the command in force.
@@ -145,8 +75,9 @@ pub struct Metered {
 }
 
 /// Results of the robot's *shadow forecasts*: one at a time for each of [`SHADOWS_S`]. Each is made
-/// as if for a planner that knew the commands in advance, and is compared with the measured energy
-/// when its time is over.
+/// as if for a planner that knew the commands in advance, and once more as if it did not. It is
+/// compared with the measured energy when its time is over, as it was made: what the robot has shown
+/// since had no part in it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[repr(C)]
 pub struct Learned {
@@ -156,8 +87,6 @@ pub struct Learned {
     pub shadow_added_w: [f32; SHADOWS],
     /// Power that each shadow forecast would expect for any commands, W.
     pub shadow_mean_w: [f32; SHADOWS],
-    /// Factor of the width of the platform's intervals at these horizons.
-    pub error_factor: [f32; SHADOWS],
     /// Share of this robot's power that the commands explain: 1 as much as the platform's, 0
     /// nothing.
     pub command_trust: f32,
@@ -165,6 +94,14 @@ pub struct Learned {
     pub trust_product: f32,
     /// Discounted squares of the energy explained by the commands.
     pub trust_square: f32,
+    /// The last reading when each shadow forecast was made, W.
+    pub shadow_last_w: [f32; SHADOWS],
+    /// The robot's own mean power then, W.
+    pub shadow_own_w: [f32; SHADOWS],
+    /// The trust in commands then.
+    pub shadow_trust: [f32; SHADOWS],
+    /// Power of the outlook then, W.
+    pub shadow_outlook_w: [f32; SHADOWS],
 }
 
 impl Metered {
@@ -283,10 +220,8 @@ impl Metered {
 }
 
 impl Learned {
-    /// Number of f32 in it.
-    pub const FLOATS: usize = 4 * SHADOWS + 3;
-    /// Place of the first error factor in [`Learned::to_array`].
-    pub const ERROR_FACTOR: usize = 3 * SHADOWS;
+    /// Groups of numbers in it.
+    pub const GROUPS: usize = 8;
 
     /// Before the first shadow forecast has ended.
     pub const fn new() -> Self {
@@ -294,16 +229,18 @@ impl Learned {
             shadow_factor: [0.0; SHADOWS],
             shadow_added_w: [0.0; SHADOWS],
             shadow_mean_w: [0.0; SHADOWS],
-            error_factor: [1.0; SHADOWS],
             command_trust: 1.0,
             trust_product: 0.0,
             trust_square: 0.0,
+            shadow_last_w: [0.0; SHADOWS],
+            shadow_own_w: [0.0; SHADOWS],
+            shadow_trust: [1.0; SHADOWS],
+            shadow_outlook_w: [0.0; SHADOWS],
         }
     }
 
-    /// The shadow forecast's parts. `own_w`: the robot's own mean when it was made, W.
-    fn parts(&self, shadow: usize, own_w: f32) -> Parts {
-        let mean_w = self.shadow_mean_w[shadow];
+    fn parts(&self, shadow: usize) -> Parts {
+        let (mean_w, own_w) = (self.shadow_mean_w[shadow], self.shadow_own_w[shadow]);
         let share = own_share(error_shares(SHADOWS_S[shadow]));
         Parts {
             factor: self.shadow_factor[shadow],
@@ -346,39 +283,43 @@ impl Learned {
 
     /// All numbers, in the order of the fields.
     #[inline(always)]
-    pub fn to_array(&self) -> [f32; Self::FLOATS] {
-        let mut numbers = [0.0; Self::FLOATS];
-        let groups = [
+    pub const fn to_groups(&self) -> [[f32; SHADOWS]; Self::GROUPS] {
+        [
             self.shadow_factor,
             self.shadow_added_w,
             self.shadow_mean_w,
-            self.error_factor,
             [self.command_trust, self.trust_product, self.trust_square],
-        ];
-        for (place, number) in numbers.iter_mut().enumerate() {
-            *number = groups[place / SHADOWS][place % SHADOWS];
-        }
-        numbers
+            self.shadow_last_w,
+            self.shadow_own_w,
+            self.shadow_trust,
+            self.shadow_outlook_w,
+        ]
     }
 
-    /// Creates it from [`Learned::to_array`].
+    /// Creates it from [`Learned::to_groups`].
     #[inline(always)]
-    pub fn from_array(numbers: &[f32; Self::FLOATS]) -> Self {
-        let group = |group: usize| {
-            let mut shadows = [0.0; SHADOWS];
-            for place in 0..SHADOWS {
-                shadows[place] = numbers[group * SHADOWS + place];
-            }
-            shadows
-        };
+    pub const fn from_groups(groups: &[[f32; SHADOWS]; Self::GROUPS]) -> Self {
+        let [
+            shadow_factor,
+            shadow_added_w,
+            shadow_mean_w,
+            [command_trust, trust_product, trust_square],
+            shadow_last_w,
+            shadow_own_w,
+            shadow_trust,
+            shadow_outlook_w,
+        ] = *groups;
         Self {
-            shadow_factor: group(0),
-            shadow_added_w: group(1),
-            shadow_mean_w: group(2),
-            error_factor: group(3),
-            command_trust: numbers[4 * SHADOWS],
-            trust_product: numbers[4 * SHADOWS + 1],
-            trust_square: numbers[4 * SHADOWS + 2],
+            shadow_factor,
+            shadow_added_w,
+            shadow_mean_w,
+            command_trust,
+            trust_product,
+            trust_square,
+            shadow_last_w,
+            shadow_own_w,
+            shadow_trust,
+            shadow_outlook_w,
         }
     }
 }
@@ -407,8 +348,6 @@ impl EnergyState {
                 shadow_s: [DUE_S - waits_s; SHADOWS],
             },
             learned: Learned::new(),
-            ahead: Ahead::new(),
-            made: Made::new(),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -459,7 +398,7 @@ impl EnergyState {
                 continue;
             }
             if self.metered.shadow_s[shadow] >= SHADOWS_S[shadow] {
-                let (class, pulls) = self.learn_ahead(model, platform, shadow);
+                let (class, pulls) = self.judge_ahead(model, shadow);
                 errors.classes[SHADOWS + shadow] = class;
                 errors.pulls[shadow] = pulls;
                 errors.classes[shadow] = self.learn(model, platform, shadow, &mut errors.shown);
@@ -477,20 +416,20 @@ impl EnergyState {
             let contradictions = contradictions(&self.metered, model.command.mean_w, &spreads);
             let [last_w, _, own_w] =
                 outlook_parts(&self.metered, &contradictions, parts.mean_w, power_w);
-            (self.ahead.last_w[shadow], self.ahead.own_w[shadow]) = (last_w, own_w);
-            self.made.command_trust[shadow] = self.learned.command_trust;
-            self.made.outlook_w[shadow] =
+            self.learned.shadow_last_w[shadow] = last_w;
+            self.learned.shadow_own_w[shadow] = own_w;
+            self.learned.shadow_trust[shadow] = self.learned.command_trust;
+            self.learned.shadow_outlook_w[shadow] =
                 mixed(&platform.shares[shadow], &[last_w, parts.mean_w, own_w]);
             self.metered.shadow_energy_j[shadow] = 0.0;
             self.metered.shadow_command_j[shadow] = 0.0;
             self.metered.shadow_s[shadow] = 0.0;
         }
-        self.bounds = platform.plans.scaled(&self.learned.error_factor);
+        self.bounds = platform.plans;
         errors
     }
 
-    /// Adapts the factor of the errors so that nine of ten lie inside the 90 % interval, and the
-    /// trust in commands. Returns the class of the error, if it has one.
+    /// Adapts the trust in commands. Returns the class of the error, if it has one.
     fn learn(
         &mut self,
         model: &EnergyModel,
@@ -501,8 +440,8 @@ impl EnergyState {
         let (metered, learned) = (&self.metered, &mut self.learned);
         let (duration_s, command_j) = (metered.shadow_s[shadow], metered.shadow_command_j[shadow]);
         let measured_j = metered.shadow_energy_j[shadow];
-        let parts = learned.parts(shadow, self.ahead.own_w[shadow]);
-        let trust = self.made.command_trust[shadow];
+        let parts = learned.parts(shadow);
+        let trust = learned.shadow_trust[shadow];
         let forecast_j = parts.level(trust).energy_j(command_j, duration_s);
         let mean_j = model.command.mean_w * duration_s;
         let energies = (command_j, duration_s, measured_j, mean_j);
@@ -512,34 +451,25 @@ impl EnergyState {
         }
         let (product, square) = (learned.trust_product, learned.trust_square);
         learned.command_trust = trusted(product, square, platform.memory.command_trust);
-        let factor = &mut learned.error_factor[shadow];
-        let energies = (measured_j, forecast_j, duration_s);
-        judge(model, &platform.plans, shadow, energies, factor)
+        class(model, shadow, (measured_j, forecast_j, duration_s))
     }
 
     /// Same as [`EnergyState::learn`], for an outlook. Also returns its pulls.
-    fn learn_ahead(
-        &mut self,
-        model: &EnergyModel,
-        platform: &PlatformErrors,
-        shadow: usize,
-    ) -> (Option<u8>, [i64; PARTS]) {
+    fn judge_ahead(&self, model: &EnergyModel, shadow: usize) -> (Option<u8>, [i64; PARTS]) {
         /// Largest pull, in the platform's mean power.
         const MAX: f32 = 4.0;
         let (duration_s, measured_j) =
             (self.metered.shadow_s[shadow], self.metered.shadow_energy_j[shadow]);
-        let level_w = self.learned.shadow_mean_w[shadow];
-        let (last_w, own_w) = (self.ahead.last_w[shadow], self.ahead.own_w[shadow]);
-        let forecast_j = self.made.outlook_w[shadow] * duration_s;
-        let factor = &mut self.ahead.error_factor[shadow];
-        let energies = (measured_j, forecast_j, duration_s);
-        let class = judge(model, &platform.outlooks, shadow, energies, factor);
+        let learned = &self.learned;
+        let level_w = learned.shadow_mean_w[shadow];
+        let forecast_j = learned.shadow_outlook_w[shadow] * duration_s;
+        let class = class(model, shadow, (measured_j, forecast_j, duration_s));
         let side = if forecast_j > measured_j { 1.0 } else { -1.0 };
         let pull = |watts: f32| {
             let share = side * (watts - level_w) / model.command.mean_w;
             if share.is_finite() { share.clamp(-MAX, MAX) } else { 0.0 }
         };
-        let (last, own) = (pull(last_w), pull(own_w));
+        let (last, own) = (pull(learned.shadow_last_w[shadow]), pull(learned.shadow_own_w[shadow]));
         let pulls = [last, own, (last * last).max(own * own)];
         (class, if class.is_some() { pulls.map(|pull| (pull * PULL) as i64) } else { [0; PARTS] })
     }
@@ -592,27 +522,16 @@ impl EnergyState {
 }
 
 /// The class of an error of a shadow forecast, if it has one; energies and time: measured, forecast
-/// and the horizon. Adapts the robot's factor of the platform's bounds.
-fn judge(
+/// and the horizon.
+fn class(
     model: &EnergyModel,
-    platform: &ErrorBounds,
     shadow: usize,
     (measured_j, forecast_j, duration_s): (f32, f32, f32),
-    factor: &mut f32,
 ) -> Option<u8> {
-    /// Change of the factor per error.
-    const STEP: f32 = 0.1;
     let relative = (measured_j - forecast_j) / model.scale_j(forecast_j, duration_s);
     let (middle, half) = quantiles::middle_and_half(&model.errors_at(SHADOWS_S[shadow]));
     let error = (relative - middle) / half;
-    if !error.is_finite() {
-        return None;
-    }
-    let (middle, half) = platform.middle_and_half(shadow);
-    let inside = (error - middle).abs() <= *factor * half;
-    let change = if inside { -STEP * MISSES } else { STEP * (1.0 - MISSES) };
-    *factor = (*factor * (1.0 + change)).clamp(FACTOR[0], FACTOR[1]);
-    Some(class_of(error))
+    error.is_finite().then(|| class_of(error))
 }
 
 /// Parts of an outlook's mean, W: the last reading, the level, and the mean of all that the robot

@@ -1,8 +1,8 @@
 //! Forecasts against a slow reference that keeps every reading, and their promises.
 
 use joulebus_energy::{
-    Ahead, CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState, ErrorBounds,
-    HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Made, Metered, PlatformErrors, Quantity,
+    Calibration, CommandModel, CommandSum, Commands, EnergyModel, EnergySample, EnergyState,
+    ErrorBounds, HORIZONS_S, KNOTS, LEVELS, LEVELS_S, Learned, Metered, PlatformErrors, Quantity,
     RIDGE_TERMS, Ridge, SHADOWS, SHADOWS_S, TERMS,
 };
 use proptest::prelude::*;
@@ -451,9 +451,10 @@ proptest! {
         let numbers = state.metered.to_array();
         let again = Metered::from_array(&numbers).to_array();
         prop_assert_eq!(numbers.map(f32::to_bits), again.map(f32::to_bits));
-        let numbers = state.learned.to_array();
-        let again = Learned::from_array(&numbers).to_array();
-        prop_assert_eq!(numbers.map(f32::to_bits), again.map(f32::to_bits));
+        let groups = state.learned.to_groups();
+        let again = Learned::from_groups(&groups).to_groups();
+        let bits = |groups: [[f32; SHADOWS]; Learned::GROUPS]| groups.as_flattened().iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        prop_assert_eq!(bits(groups), bits(again));
     }
 
     #[test]
@@ -465,9 +466,9 @@ proptest! {
 
 #[test]
 fn a_state_is_small_and_has_no_padding() {
-    let columns = 4 * (Metered::FLOATS + Learned::FLOATS) + size_of::<Ahead>() + size_of::<Made>();
+    let columns = 4 * Metered::FLOATS + size_of::<Learned>();
     assert_eq!(size_of::<EnergyState>(), columns + size_of::<ErrorBounds>());
-    assert!(columns <= 216, "{columns}");
+    assert!(columns <= 216 - 24, "{columns}");
 }
 
 #[test]
@@ -653,9 +654,9 @@ fn commands_outside_the_training_are_bounded_by_what_was_recorded() {
     assert_eq!((inside.steps_outside, inside.outside_w), (0, None));
 }
 
-/// A robot whose power is redrawn every second: its errors are far above or far below the model's.
+/// Robots whose power is redrawn every second: their errors are far above or far below the model's.
 #[test]
-fn intervals_widen_and_narrow_with_the_robots_own_errors() {
+fn intervals_widen_and_narrow_with_the_errors_of_a_platform() {
     let model = model(&[0.0; TERMS], 0.0);
     let plan = commands(0.1, &[0.0; 10], &[0.0; 10]);
     let width = |state: &EnergyState| {
@@ -664,17 +665,11 @@ fn intervals_widen_and_narrow_with_the_robots_own_errors() {
         (hi_j - lo_j) / forecast.energy_j
     };
     let drive = |power_w: fn(usize) -> f32| {
-        let mut state = EnergyState::new(0);
-        for second in 0..300 {
-            for _ in 0..10 {
-                let sample = EnergySample {
-                    power_w: power_w(second),
-                    elapsed_s: 0.1,
-                    v_mps: 0.0,
-                    omega_radps: 0.0,
-                };
-                state.observe(&model, &sample);
-            }
+        let (mut state, mut platform) = (EnergyState::new(0), Calibration::new(&model));
+        for step in 0..3_000 {
+            let sample = EnergySample { v_mps: 0.0, ..at_rest(power_w(step / 10)) };
+            let errors = state.observe_among(&model, platform.platform(), &sample);
+            platform.add(&errors.counted(0));
         }
         state
     };
@@ -822,7 +817,6 @@ fn without_trust_in_commands_a_plan_is_the_outlook_without_the_last_reading() {
     let mut state = driven(&model, 20.0, |v_mps| 2.0 + 30.0 * v_mps);
     state.learned.command_trust = 0.0;
     state.bounds = ErrorBounds { lower: [-2.0, -1.5, -3.0], upper: [2.0, 3.0, 4.0] };
-    state.ahead.error_factor = [1.0; SHADOWS];
     let platform = PlatformErrors {
         outlooks: state.bounds,
         shares: PlatformErrors::TRAINED
@@ -884,11 +878,11 @@ fn a_shadow_forecast_is_judged_with_the_trust_and_the_shares_that_it_was_made_wi
             }
         }
         // Those that are made now are made alike again, with the trust that is shown now.
-        let is_made = shown.made != before.made;
-        apart += usize::from(is_made && shown.made != made.made);
-        shown.made = made.made;
+        let with =
+            |state: &EnergyState| [state.learned.shadow_trust, state.learned.shadow_outlook_w];
+        let is_made = with(&shown) != with(&before);
+        apart += usize::from(is_made && with(&shown) != with(&made));
         shown.learned = Learned { command_trust: 0.0, ..made.learned };
-        shown.ahead = made.ahead;
     }
     assert_eq!(ended, 7, "all three have ended");
     assert!(apart > 0, "what is shown counts for the next ones");

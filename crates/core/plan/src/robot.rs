@@ -1,8 +1,8 @@
 //! One robot's answers.
 
 use joulebus_energy::{
-    Ahead, CommandSum, Commands, EnergyLeft, EnergyModel, EnergyState, ErrorBounds, LEVELS,
-    Learned, Made, Metered, SHADOWS,
+    CommandSum, Commands, EnergyLeft, EnergyModel, EnergyState, ErrorBounds, LEVELS, Learned,
+    Metered, SHADOWS,
 };
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
@@ -507,8 +507,6 @@ fn energy_state(state: &PlanState) -> EnergyState {
             ..EnergyState::new(0).metered
         },
         learned: Learned { command_trust: state.command_trust, ..Learned::new() },
-        ahead: Ahead::new(),
-        made: Made::new(),
         bounds: ErrorBounds { lower: state.error_lower, upper: state.error_upper },
     }
 }

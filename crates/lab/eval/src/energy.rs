@@ -177,7 +177,7 @@ fn observe(
 ) {
     let errors = state.observe_among(model, platform.platform(), sample);
     platform.add(&errors.counted(number));
-    state.bounds = platform.platform().plans.scaled(&state.learned.error_factor);
+    state.bounds = platform.platform().plans;
 }
 
 /// Fit of intervals to the measured energies: means over the forecasts that have one, NaN without.

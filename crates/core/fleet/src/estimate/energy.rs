@@ -4,8 +4,7 @@
 #![allow(clippy::needless_range_loop)]
 
 use joulebus_energy::{
-    Ahead, EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Made, Metered,
-    PARTS, SHADOWS,
+    EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
 };
 use serde::{Deserialize, Serialize};
 
@@ -18,11 +17,8 @@ use crate::state::added;
 #[repr(align(64))]
 pub(crate) struct EnergyLanes {
     metered: MeteredLanes,
-    learned: [Lanes<f32>; Learned::FLOATS],
-    ahead: [[Lanes<f32>; SHADOWS]; PARTS],
-    /// [`Made`]: trust, then power.
-    #[serde(deserialize_with = "added::read")]
-    made: [[Lanes<f32>; SHADOWS]; 2],
+    #[serde(deserialize_with = "added::read_learned")]
+    learned: [[Lanes<f32>; SHADOWS]; Learned::GROUPS],
 }
 
 /// The part that changes with every sample.
@@ -55,26 +51,15 @@ impl Block for EnergyLanes {
     #[inline(always)]
     fn get(&self, lane: usize) -> EnergyState {
         // Loops, because calls of `map` are not always inlined.
-        let mut ahead = [[0.0; SHADOWS]; PARTS];
-        for part in 0..PARTS {
+        let mut learned = [[0.0; SHADOWS]; Learned::GROUPS];
+        for group in 0..Learned::GROUPS {
             for shadow in 0..SHADOWS {
-                ahead[part][shadow] = self.ahead[part][shadow][lane];
+                learned[group][shadow] = self.learned[group][shadow][lane];
             }
-        }
-        let mut learned = [0.0; Learned::FLOATS];
-        for place in 0..Learned::FLOATS {
-            learned[place] = self.learned[place][lane];
-        }
-        let mut made = Made::new();
-        for shadow in 0..SHADOWS {
-            made.command_trust[shadow] = self.made[0][shadow][lane];
-            made.outlook_w[shadow] = self.made[1][shadow][lane];
         }
         EnergyState {
             metered: self.metered.get(lane),
-            learned: Learned::from_array(&learned),
-            ahead: Ahead::from_array(ahead),
-            made,
+            learned: Learned::from_groups(&learned),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -82,19 +67,11 @@ impl Block for EnergyLanes {
     #[inline(always)]
     fn set(&mut self, lane: usize, mask: bool, robot: EnergyState) {
         self.metered.set(lane, mask, &robot.metered);
-        let numbers = robot.learned.to_array();
-        for place in 0..Learned::FLOATS {
-            put(&mut self.learned[place][lane], mask, numbers[place]);
-        }
-        let numbers = robot.ahead.to_array();
-        for part in 0..PARTS {
+        let numbers = robot.learned.to_groups();
+        for group in 0..Learned::GROUPS {
             for shadow in 0..SHADOWS {
-                put(&mut self.ahead[part][shadow][lane], mask, numbers[part][shadow]);
+                put(&mut self.learned[group][shadow][lane], mask, numbers[group][shadow]);
             }
-        }
-        for shadow in 0..SHADOWS {
-            put(&mut self.made[0][shadow][lane], mask, robot.made.command_trust[shadow]);
-            put(&mut self.made[1][shadow][lane], mask, robot.made.outlook_w[shadow]);
         }
     }
 }
@@ -137,10 +114,8 @@ impl EnergyLanes {
     pub(crate) fn complete(&mut self) {
         for lane in 0..LANES {
             let mut robot = self.get(lane);
-            for shadow in 0..SHADOWS {
-                robot.made.command_trust[shadow] = robot.learned.command_trust;
-                robot.made.outlook_w[shadow] = robot.learned.shadow_mean_w[shadow];
-            }
+            robot.learned.shadow_trust = [robot.learned.command_trust; SHADOWS];
+            robot.learned.shadow_outlook_w = robot.learned.shadow_mean_w;
             self.set(lane, true, robot);
         }
     }
@@ -148,20 +123,14 @@ impl EnergyLanes {
     /// The energy state of the robot in a lane, with the bounds of its intervals.
     #[inline(always)]
     pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {
-        let state = self.get(lane);
-        let plans = &errors.platform().plans;
-        EnergyState { bounds: plans.scaled(&state.learned.error_factor), ..state }
+        EnergyState { bounds: errors.platform().plans, ..self.get(lane) }
     }
 
-    /// Energy and time of the longest level of the robot in a lane, J and s, and its own factors.
+    /// Energy and time of the longest level of the robot in a lane, J and s.
     #[inline(always)]
-    pub(crate) fn longest_level(&self, lane: usize) -> ((f32, f32), [f32; SHADOWS]) {
+    pub(crate) fn longest_level(&self, lane: usize) -> (f32, f32) {
         let [energy_j, time_s] = Metered::LONGEST;
-        let mut factors = [0.0; SHADOWS];
-        for shadow in 0..SHADOWS {
-            factors[shadow] = self.learned[Learned::ERROR_FACTOR + shadow][lane];
-        }
-        ((self.metered.0[energy_j][lane], self.metered.0[time_s][lane]), factors)
+        (self.metered.0[energy_j][lane], self.metered.0[time_s][lane])
     }
 
     /// True if the levels of the robot in a lane are known well enough to stay while it is on its

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, PARTS, SHADOWS};
+use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, Learned, PARTS, SHADOWS};
 use serde::{Deserialize, Deserializer};
 
 use crate::layout::lanes::Lanes;
@@ -74,6 +74,25 @@ pub(crate) fn skip_cusum<'de, D: Deserializer<'de>>(from: D) -> Result<(), D::Er
         <[Lanes<f32>; 2]>::deserialize(from)?;
     }
     Ok(())
+}
+
+/// Reads what robots learn from shadow forecasts. Versions before 0x12 have a group of factors after
+/// the third one and at the end of the outlooks', those before 0x0f lack the last two.
+pub(crate) fn read_learned<'de, D: Deserializer<'de>>(
+    from: D,
+) -> Result<[[Lanes<f32>; SHADOWS]; Learned::GROUPS], D::Error> {
+    type Group = [Lanes<f32>; SHADOWS];
+    let had = |[factor, added, mean, _, trust, last, own, _]: [Group; 8],
+               [of, outlook]: [Group; 2]| {
+        [factor, added, mean, trust, last, own, of, outlook]
+    };
+    match VERSION.get() {
+        ..READ => <[Group; 8]>::deserialize(from).map(|groups| had(groups, Default::default())),
+        ..READ_0X12 => {
+            <([Group; 8], [Group; 2])>::deserialize(from).map(|(groups, made)| had(groups, made))
+        }
+        _ => Deserialize::deserialize(from),
+    }
 }
 
 /// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown, those

@@ -81,11 +81,7 @@ struct Scores {
     plans: [[f64; 5]; PLANS_S.len()],
 }
 
-fn play(
-    model: &EnergyModel,
-    traces: &[Vec<EnergySample>],
-    (ablate, own_factors): (fn(&mut Memory), bool),
-) -> Scores {
+fn play(model: &EnergyModel, traces: &[Vec<EnergySample>], ablate: fn(&mut Memory)) -> Scores {
     let lasting = model.lasting().unwrap();
     let (mut calibration, mut scores) = (Calibration::new(model), Scores::default());
     for (robot, trace) in (0u32..).zip(traces) {
@@ -101,15 +97,14 @@ fn play(
             let errors = state.observe_among(model, &platform(&calibration), step);
             calibration.add(&errors.counted(robot));
             let platform = platform(&calibration);
-            let factors = if own_factors { state.learned.error_factor } else { [1.0; 3] };
-            state.bounds = platform.plans.scaled(&factors);
+            state.bounds = platform.plans;
             time_s += step.elapsed_s.max(0.0);
             if time_s < due_s {
                 continue;
             }
             due_s = time_s + if time_s < 60.0 { 1.0 } else { 10.0 };
             let metered = (state.metered.energy_j[3], state.metered.time_s[3]);
-            let power = lasting.of(metered, &platform, &factors);
+            let power = lasting.of(metered, &platform);
             let error = (f64::from(power.mean_w) / true_w - 1.0).abs();
             if time_s < 60.0 {
                 scores.errors[usize::from(robot >= SMALL)].push(error);
@@ -181,7 +176,7 @@ fn fitted(trials: &[&Trial], feature_set: FeatureSet) -> EnergyModel {
 }
 
 /// The groups of recordings that are left out in turn: the beginnings of their names.
-const SETS: [(&str, FeatureSet, &[&str]); 3] = [
+pub(crate) const SETS: [(&str, FeatureSet, &[&str]); 3] = [
     (
         "robotino",
         FeatureSet::Full,
@@ -234,10 +229,8 @@ fn figures() {
                 let model = fitted(&others, feature_set);
                 let runs: Vec<Vec<EnergySample>> = out.iter().map(|place| steps(&trials[*place])).collect();
                 let traces = traces(&runs, *factor);
-                let mut cases: Vec<_> = NUMBERS.iter().map(|(number, ablate)| (*number, *ablate, true)).collect();
-                cases.push(("no own factors", |_| (), false));
-                let line = |(number, ablate, own): (&str, fn(&mut Memory), bool)| {
-                    let mut scores = play(&model, &traces, (ablate, own));
+                let line = |(number, ablate): &(&str, Change)| {
+                    let mut scores = play(&model, &traces, *ablate);
                     let [first, others, later] = scores.errors.each_mut().map(|errors| median(errors));
                     let plans = scores.plans.map(|sums| sums[0] / sums[1]);
                     let interval = scores.plans.map(|sums| sums[2] / sums[1]);
@@ -247,7 +240,7 @@ fn figures() {
                         scores.inside[0] / scores.inside[1], plans[0], plans[1], interval[0], interval[1], inside[0], inside[1]
                     )
                 };
-                cases.into_iter().map(line).collect::<Vec<_>>()
+                NUMBERS.iter().map(line).collect::<Vec<_>>()
             })
             .collect();
         println!("{}", lines.join("\n"));

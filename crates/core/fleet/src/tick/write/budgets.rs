@@ -189,8 +189,8 @@ fn fill(
         let of = (battery, &size);
         let remaining = match &context.lasting {
             Some(lasting) => {
-                let (longest, factors) = block.energy.longest_level(lane);
-                let power = lasting.of(longest, context.errors.platform(), &factors);
+                let longest = block.energy.longest_level(lane);
+                let power = lasting.of(longest, context.errors.platform());
                 let range_w = |seconds| power.range_w(seconds);
                 Remaining::new(of, &estimate, power.mean_w, range_w, robot.charging)
             }

@@ -183,15 +183,14 @@ fn compare_energy(
 ) -> Result<(), TestCaseError> {
     let robot = &member.robot;
     let platform = oracle.errors[member.context].calibration.platform();
-    let bounds = platform.plans.scaled(&robot.energy.learned.error_factor);
-    let expected = EnergyState { bounds, ..robot.energy };
+    let expected = EnergyState { bounds: platform.plans, ..robot.energy };
     let found = fleet.energy(id).expect("it is in the fleet");
     let bits = |state: EnergyState| {
-        let (metered, learned) = (state.metered.to_array(), state.learned.to_array());
+        let (metered, learned) = (state.metered.to_array(), state.learned.to_groups());
         let bounds = [state.bounds.lower, state.bounds.upper];
         (
             metered.map(f32::to_bits),
-            learned.map(f32::to_bits),
+            learned.map(|group| group.map(f32::to_bits)),
             bounds.map(|bound| bound.map(f32::to_bits)),
         )
     };
