@@ -119,6 +119,8 @@ const LOW: u32 = AlarmSet(0).with(Alarm::LevelLow).0;
 const KIND: u32 = AlarmSet(0).with(Alarm::ModelMismatch).0;
 /// No alarm: a person has accepted the level as the new normal.
 const ACCEPTED: u32 = 1 << 31;
+/// The own level was apart from those of others when the alarm was raised.
+const BY_OTHERS: u32 = 1 << 30;
 /// A robot whose level is this many times the platform's, or this part of it, is of another kind.
 const UNLIKE: f32 = PlatformMemory::UNLIKE;
 /// Least relative standard deviation of such a robot.
@@ -262,7 +264,7 @@ pub(crate) struct Level {
     slow_variance: f32,
     /// Time for which they have been learned, s.
     scatter_s: f32,
-    /// Bits of [`AlarmSet`], and [`ACCEPTED`].
+    /// Bits of [`AlarmSet`], [`ACCEPTED`] and [`BY_OTHERS`].
     raised: u32,
     /// Time for which a deviation has been beyond the limit, s.
     beyond_s: f32,
@@ -373,8 +375,7 @@ impl Level {
         let (own_high, own_low) = (share.max(slow_share), (-share).max(-slow_share));
         let among = self.among(rules);
         // An own level that is apart from the others is no level to go back to.
-        let own_among = self.among_of(rules, (self.own_w, self.own_command_w));
-        let by_others = self.is_raised() & (own_among.abs() > HALF);
+        let by_others = self.raised & BY_OTHERS != 0;
         let (high, low) = (own_high.max(among), own_low.max(-among));
         let (high, low) = if by_others { (among, -among) } else { (high, low) };
         let settled = counted & (self.own_s >= SETTLE_S);
@@ -382,7 +383,7 @@ impl Level {
         let beyond_s = (self.beyond_s + rules.period_s).min(HOLD_S + rules.period_s);
         self.beyond_s = if beyond { beyond_s } else { 0.0 };
         let was_raised = self.is_raised();
-        self.decide(settled, high, low);
+        self.decide(settled, (high, low), among);
         let ends = was_raised & !self.is_raised();
         let growth = if ends { GROWTH } else { 1.0 };
         let begins_anew = ends & by_others;
@@ -491,19 +492,13 @@ impl Level {
         [(mean_w - expected_w) * per_w, spread]
     }
 
-    /// Deviation of the robot's own level from that of other robots, as a share of the limit. 0 if
-    /// it is not judged.
+    /// Deviation of the robot's own level, or of its slow mean while an alarm is raised, from the level
+    /// of other robots, as a share of the limit. 0 if it is not judged.
     #[inline(always)]
     fn among(&self, rules: &LevelRules) -> f32 {
         let raised = self.is_raised();
         let power_w = if raised { self.slow_w } else { self.own_w };
         let command_w = if raised { self.slow_command_w } else { self.own_command_w };
-        self.among_of(rules, (power_w, command_w))
-    }
-
-    /// The same of these means.
-    #[inline(always)]
-    fn among_of(&self, rules: &LevelRules, (power_w, command_w): (f32, f32)) -> f32 {
         let expected_w = rules.among * command_w;
         let scale_w = (0.5 * (power_w.max(0.0) + expected_w)).max(rules.floor_w);
         let spread = rules.spread + rules.variances[1] * (MEANS_S[1] / self.own_s.max(AMONG_S));
@@ -514,17 +509,20 @@ impl Level {
         if judged { share } else { 0.0 }
     }
 
-    /// Raises and clears: `high` and `low` are shares of the limit.
+    /// Raises and clears: `high`, `low` and `among` are shares of the limit.
     #[inline(always)]
-    fn decide(&mut self, settled: bool, high: f32, low: f32) {
+    fn decide(&mut self, settled: bool, (high, low): (f32, f32), among: f32) {
+        let apart = if among.abs() > HALF { BY_OTHERS } else { 0 };
+        let by_others = if self.is_raised() { self.raised & BY_OTHERS } else { apart };
         let judged = |share: f32, bit: u32| {
             let is_new = self.raised & bit == 0;
             let least = if is_new { 1.0 } else { HALF };
             if (share > least) & (!is_new | (self.beyond_s >= HOLD_S)) { bit } else { 0 }
         };
         let raised = judged(high, HIGH) | judged(low, LOW);
+        let by_others = if raised == 0 { 0 } else { by_others };
         let others = self.raised & (KIND | ACCEPTED);
-        self.raised = if settled { raised | others } else { self.raised };
+        self.raised = if settled { raised | by_others | others } else { self.raised };
     }
 
     /// True if the level itself is alarmed.
@@ -586,7 +584,7 @@ impl LevelLanes {
     /// The alarms of the robot in a lane.
     #[inline(always)]
     pub(crate) fn alarms(&self, lane: usize) -> AlarmSet {
-        AlarmSet(self.raised[lane] & !ACCEPTED)
+        AlarmSet(self.raised[lane] & !(ACCEPTED | BY_OTHERS))
     }
 
     /// The robot in a lane is compared with its level from now on.
