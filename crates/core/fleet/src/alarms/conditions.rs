@@ -6,18 +6,24 @@ use joulebus_wire::Alarm;
 use crate::alarms::detector::{Conditions, Detector};
 use crate::ingest::admission::AdmissionState;
 use crate::ingest::last_sample::Last;
-use crate::layout::lanes::block;
+use crate::layout::lanes::{InstantNs, block};
 
-/// Inputs of the alarms other than the residuals.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct AlarmInputs {
-    pub stamp_ns: u64,
-    /// 0 before the first measurement.
-    pub measured_ns: u64,
-    pub equal_since_ns: u64,
-    pub refused: bool,
-    pub outside_training: bool,
-    pub charging: bool,
+block! {
+    /// Inputs of the alarms other than the residuals.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct AlarmInputs;
+
+    /// [`AlarmInputs`] of a block.
+    #[derive(Clone, Copy, Default)]
+    pub(crate) struct AlarmInputLanes {
+        pub stamp_ns: InstantNs,
+        /// 0 before the first measurement.
+        pub measured_ns: InstantNs,
+        pub equal_since_ns: InstantNs,
+        pub refused: bool,
+        pub outside_training: bool,
+        pub charging: bool,
+    }
 }
 
 impl AlarmInputs {
@@ -31,19 +37,6 @@ impl AlarmInputs {
             outside_training: admission.outside_training,
             charging: admission.charging,
         }
-    }
-}
-
-block! {
-    /// [`AlarmInputs`] of a block.
-    #[derive(Clone, Copy, Default)]
-    pub(crate) struct AlarmInputLanes of AlarmInputs {
-        pub stamp_ns: u64,
-        pub measured_ns: u64,
-        pub equal_since_ns: u64,
-        pub refused: bool,
-        pub outside_training: bool,
-        pub charging: bool,
     }
 }
 

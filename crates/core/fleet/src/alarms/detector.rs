@@ -4,7 +4,7 @@ use joulebus_settings::AlarmSettings;
 use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::{Block, Lanes, put};
+use crate::layout::lanes::{block, put};
 use crate::state::added;
 
 /// Serial correlation above which whitening would only amplify noise.
@@ -28,22 +28,36 @@ const MIN_MISMATCH_SQUARE: f32 = 3.0;
 /// Number of alarms that are decided here. Those of the battery follow.
 const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
 
-/// Residual statistics of one robot.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Detector {
-    pub bias_w: f32,
-    pub noise_ratio: f32,
-    z_last: f32,
-    z_square: f32,
-    z_product: f32,
-    /// Recent squared errors of the model and of persistence, in squared standard deviations.
-    error_square: f32,
-    persistence_square: f32,
-    /// Number of consecutive samples for which the condition of an alarm has required a change.
-    agreeing: [u16; ALARMS],
-    /// Alarms for which that number is not zero.
-    changing: AlarmSet,
-    raised: AlarmSet,
+/// For each alarm, the number of consecutive samples for which its condition has required a change.
+type Agreeing = [u16; ALARMS];
+
+block! {
+    /// Residual statistics of one robot.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    pub(crate) struct Detector: NONE;
+
+    /// The detectors of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(64))]
+    pub(crate) struct DetectorLanes {
+        pub bias_w: f32 = 0.0,
+        // Older states have two cumulative sums before it.
+        #[serde(deserialize_with = "added::read_after_cusum")]
+        pub noise_ratio: f32 = 1.0,
+        z_last: f32 = 0.0,
+        z_square: f32 = 1.0,
+        z_product: f32 = 0.0,
+        /// Recent squared errors of the model and of persistence, in squared standard deviations.
+        /// Equal, until there are readings.
+        error_square: f32 = 1.0,
+        persistence_square: f32 = 1.0,
+        /// [`AlarmSet`]: alarms for which `agreeing` is not zero.
+        changing: u32 = 0,
+        /// [`AlarmSet`].
+        raised: u32 = 0,
+        /// Rarely accessed: robot by robot.
+        agreeing: Agreeing = [0; ALARMS],
+    }
 }
 
 /// Alarms whose condition holds, and alarms that stay raised if they are raised.
@@ -69,22 +83,6 @@ impl Conditions {
 }
 
 impl Detector {
-    pub(crate) fn new() -> Self {
-        Self {
-            bias_w: 0.0,
-            noise_ratio: 1.0,
-            z_last: 0.0,
-            z_square: 1.0,
-            z_product: 0.0,
-            // Equal, until there are readings.
-            error_square: 1.0,
-            persistence_square: 1.0,
-            agreeing: [0; ALARMS],
-            changing: AlarmSet::default(),
-            raised: AlarmSet::default(),
-        }
-    }
-
     /// Records a residual and the change of the reading, W, both finite. `per_sigma` is 1
     /// over the residual standard deviation in training, 1/W, above 0.
     #[inline(always)]
@@ -140,21 +138,21 @@ impl Detector {
     /// Alarms that the conditions require to change.
     #[inline(always)]
     fn change(&self, conditions: Conditions) -> u32 {
-        (self.raised.0 & !conditions.stay.0) | (!self.raised.0 & conditions.raise.0)
+        (self.raised & !conditions.stay.0) | (!self.raised & conditions.raise.0)
     }
 
     /// True if [`Detector::decide`] would change anything, which is rare.
     #[inline(always)]
     pub(crate) fn is_moved_by(&self, conditions: Conditions) -> bool {
-        self.change(conditions) | self.changing.0 != 0
+        self.change(conditions) | self.changing != 0
     }
 
     /// Raises and clears with hysteresis: an alarm changes only after its condition has required it
     /// for the configured number of consecutive samples.
     pub(crate) fn decide(&mut self, conditions: Conditions, settings: &AlarmSettings) {
         let change = self.change(conditions);
-        let mut look = change | self.changing.0;
-        self.changing.0 = change;
+        let mut look = change | self.changing;
+        self.changing = change;
         while look != 0 {
             let (bit, place) = (look & look.wrapping_neg(), look.trailing_zeros() as usize);
             look &= !bit;
@@ -167,35 +165,15 @@ impl Detector {
                 continue;
             }
             *agreeing = agreeing.saturating_add(1);
-            let raised = self.raised.0 & bit != 0;
+            let raised = self.raised & bit != 0;
             let needed = if raised { settings.clear_samples } else { settings.raise_samples };
             if *agreeing >= needed {
-                self.raised.0 ^= bit;
-                self.changing.0 &= !bit;
+                self.raised ^= bit;
+                self.changing &= !bit;
                 *agreeing = 0;
             }
         }
     }
-}
-
-/// The detectors of a block.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-#[repr(align(64))]
-pub(crate) struct DetectorLanes {
-    pub bias_w: Lanes<f32>,
-    /// The two cumulative sums of older states.
-    #[serde(deserialize_with = "added::skip_cusum")]
-    cusum: (),
-    pub noise_ratio: Lanes<f32>,
-    z_last: Lanes<f32>,
-    z_square: Lanes<f32>,
-    z_product: Lanes<f32>,
-    error_square: Lanes<f32>,
-    persistence_square: Lanes<f32>,
-    changing: Lanes<u32>,
-    raised: Lanes<u32>,
-    /// Rarely accessed: robot by robot.
-    agreeing: Lanes<[u16; ALARMS]>,
 }
 
 impl DetectorLanes {
@@ -215,34 +193,6 @@ impl DetectorLanes {
         put(&mut self.error_square[lane], mask, robot.error_square);
         let persistence = robot.persistence_square;
         put(&mut self.persistence_square[lane], mask, persistence);
-    }
-}
-
-impl Block for DetectorLanes {
-    type Robot = Detector;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Detector {
-        Detector {
-            bias_w: self.bias_w[lane],
-            noise_ratio: self.noise_ratio[lane],
-            z_last: self.z_last[lane],
-            z_square: self.z_square[lane],
-            z_product: self.z_product[lane],
-            error_square: self.error_square[lane],
-            persistence_square: self.persistence_square[lane],
-            agreeing: self.agreeing[lane],
-            changing: AlarmSet(self.changing[lane]),
-            raised: AlarmSet(self.raised[lane]),
-        }
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, mask: bool, robot: Detector) {
-        self.set_observed(lane, mask, &robot);
-        put(&mut self.changing[lane], mask, robot.changing.0);
-        put(&mut self.raised[lane], mask, robot.raised.0);
-        put(&mut self.agreeing[lane], mask, robot.agreeing);
     }
 }
 
@@ -288,37 +238,37 @@ mod tests {
 
     #[test]
     fn noise_raises_its_alarm_and_clears_when_it_ends() {
-        let (mut detector, mut state) = (Detector::new(), 1);
+        let (mut detector, mut state) = (Detector::NONE, 1);
         run(&mut detector, 5_000, |unit| unit, &mut state);
-        assert_eq!(detector.raised, AlarmSet::default());
+        assert_eq!(detector.raised, 0);
         run(&mut detector, 300, |unit| 4.0 * unit, &mut state);
-        assert_eq!(detector.raised, AlarmSet(0).with(Alarm::NoiseHigh), "{detector:?}");
+        assert_eq!(detector.raised, AlarmSet(0).with(Alarm::NoiseHigh).0, "{detector:?}");
         run(&mut detector, 5_000, |unit| unit, &mut state);
-        assert_eq!(detector.raised, AlarmSet::default());
+        assert_eq!(detector.raised, 0);
     }
 
     #[test]
     fn one_absurd_residual_does_not_disable_the_detector() {
         for absurd in [f32::MAX, -f32::MAX] {
-            let (mut detector, mut state) = (Detector::new(), 1);
+            let (mut detector, mut state) = (Detector::NONE, 1);
             detector.observe(absurd, 1.0, 1e6, &SETTINGS);
             assert!(detector.error_square.is_finite(), "{detector:?}");
             run(&mut detector, 10_000, |unit| unit, &mut state);
-            assert_eq!(detector.raised, AlarmSet::default(), "{detector:?}");
+            assert_eq!(detector.raised, 0, "{detector:?}");
             run(&mut detector, 300, |unit| 4.0 * unit, &mut state);
-            assert!(detector.raised.has(Alarm::NoiseHigh), "{detector:?}");
+            assert!(AlarmSet(detector.raised).has(Alarm::NoiseHigh), "{detector:?}");
         }
     }
 
     #[test]
     fn a_flickering_condition_neither_raises_nor_clears_an_alarm() {
-        let mut detector = Detector::new();
+        let mut detector = Detector::NONE;
         let mut on = Conditions::default();
         on.when(true, Alarm::StuckSensor);
         for step in 0..100 {
             let now = if step % 5 == 4 { Conditions::default() } else { on };
             detector.decide(now, &SETTINGS);
-            assert!(!detector.raised.has(Alarm::StuckSensor));
+            assert!(!AlarmSet(detector.raised).has(Alarm::StuckSensor));
         }
         for _ in 0..5 {
             detector.decide(on, &SETTINGS);
@@ -326,7 +276,7 @@ mod tests {
         for step in 0..100 {
             let now = if step % 29 == 28 { on } else { Conditions::default() };
             detector.decide(now, &SETTINGS);
-            assert!(detector.raised.has(Alarm::StuckSensor));
+            assert!(AlarmSet(detector.raised).has(Alarm::StuckSensor));
         }
     }
 }

@@ -153,16 +153,6 @@ enum CommandPower {
 }
 
 impl LevelRules {
-    const UNKNOWN: Self = Self {
-        limit: f32::INFINITY,
-        period_s: 0.0,
-        floor_w: 0.0,
-        variances: [1.0; 2],
-        among: 0.0,
-        spread: 1.0,
-        command: CommandPower::Model,
-    };
-
     pub(crate) fn new(energy: &EnergyModel, alarms: &AlarmSettings, platform: &Platform) -> Self {
         let (is_trained, mean_w) = (energy.calibrated > 0, energy.command.mean_w);
         let spread = |place: usize| {
@@ -236,64 +226,45 @@ pub(crate) struct LevelSample {
     pub apart: bool,
 }
 
-/// The levels of a robot.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Level {
-    /// Power of the command in force. NaN if unknown.
-    command_w: f32,
-    /// Time for which readings and commands have been known, s.
-    known_s: f32,
-    /// Weight of the quick mean, s. Its power, and that of its commands, W.
-    quick_s: f32,
-    quick_w: f32,
-    quick_command_w: f32,
-    /// The same of the slow mean.
-    slow_s: f32,
-    slow_w: f32,
-    slow_command_w: f32,
-    /// Weight of the own level, s. Its means, W.
-    own_s: f32,
-    own_w: f32,
-    own_command_w: f32,
-    /// Sums over its time: squares of the commands' deviations from their mean, and their products
-    /// with those of power, W² s.
-    square: f32,
-    product: f32,
-    /// Squared relative standard deviations of the two means.
-    quick_variance: f32,
-    slow_variance: f32,
-    /// Time for which they have been learned, s.
-    scatter_s: f32,
-    /// Bits of [`AlarmSet`], [`ACCEPTED`] and [`BY_OTHERS`].
-    raised: u32,
-    /// Time for which a deviation has been beyond the limit, s.
-    beyond_s: f32,
-}
-
 block! {
+    /// The levels of a robot.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    pub(crate) struct Level: NONE;
+
     /// The levels of a block.
     #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
     #[repr(align(64))]
-    pub(crate) struct LevelLanes of Level {
-        command_w: f32,
-        known_s: f32,
-        quick_s: f32,
-        quick_w: f32,
-        quick_command_w: f32,
-        slow_s: f32,
-        slow_w: f32,
-        slow_command_w: f32,
-        own_s: f32,
-        own_w: f32,
-        own_command_w: f32,
-        square: f32,
-        product: f32,
-        quick_variance: f32,
-        slow_variance: f32,
-        scatter_s: f32,
-        raised: u32,
-        #[serde(deserialize_with = "added::read_0x11")]
-        beyond_s: f32,
+    pub(crate) struct LevelLanes {
+        /// Power of the command in force. NaN if unknown.
+        command_w: f32 = f32::NAN,
+        /// Time for which readings and commands have been known, s.
+        known_s: f32 = 0.0,
+        /// Weight of the quick mean, s. Its power, and that of its commands, W.
+        quick_s: f32 = 0.0,
+        quick_w: f32 = 0.0,
+        quick_command_w: f32 = 0.0,
+        /// The same of the slow mean.
+        slow_s: f32 = 0.0,
+        slow_w: f32 = 0.0,
+        slow_command_w: f32 = 0.0,
+        /// Weight of the own level, s. Its means, W.
+        own_s: f32 = 0.0,
+        own_w: f32 = 0.0,
+        own_command_w: f32 = 0.0,
+        /// Sums over its time: squares of the commands' deviations from their mean, and their
+        /// products with those of power, W² s.
+        square: f32 = 0.0,
+        product: f32 = 0.0,
+        /// Squared relative standard deviations of the two means.
+        quick_variance: f32 = 1.0,
+        slow_variance: f32 = 1.0,
+        /// Time for which they have been learned, s.
+        scatter_s: f32 = 0.0,
+        /// Bits of [`AlarmSet`], [`ACCEPTED`] and [`BY_OTHERS`].
+        raised: u32 = 0,
+        /// Time for which a deviation has been beyond the limit, s.
+        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
+        beyond_s: f32 = 0.0,
     }
 }
 
@@ -312,26 +283,7 @@ impl Level {
     /// Before the first sample.
     pub(crate) fn new(rules: &LevelRules) -> Self {
         let [quick_variance, slow_variance] = rules.variances;
-        Self {
-            command_w: f32::NAN,
-            known_s: 0.0,
-            quick_s: 0.0,
-            quick_w: 0.0,
-            quick_command_w: 0.0,
-            slow_s: 0.0,
-            slow_w: 0.0,
-            slow_command_w: 0.0,
-            own_s: 0.0,
-            own_w: 0.0,
-            own_command_w: 0.0,
-            square: 0.0,
-            product: 0.0,
-            quick_variance,
-            slow_variance,
-            scatter_s: 0.0,
-            raised: 0,
-            beyond_s: 0.0,
-        }
+        Self { quick_variance, slow_variance, ..Self::NONE }
     }
 
     /// The power from now on is the robot's own level: what it drew before is forgotten, and its
@@ -573,13 +525,7 @@ impl Level {
 
 impl LevelLanes {
     /// Levels of which nothing is known, not even their scatter.
-    pub(crate) fn unknown() -> Self {
-        let mut block = Self::default();
-        for lane in 0..LANES {
-            block.set(lane, true, Level::new(&LevelRules::UNKNOWN));
-        }
-        block
-    }
+    pub(crate) const UNKNOWN: Self = Self::all(&Level::NONE);
 
     /// The alarms of the robot in a lane.
     #[inline(always)]

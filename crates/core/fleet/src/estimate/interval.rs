@@ -22,7 +22,7 @@
 use joulebus_settings::IntervalSettings;
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::{block, put};
+use crate::layout::lanes::{Count, block, put};
 
 /// Weight of the newest residual in their mean and size, and in the recent coverage.
 const RECENT_WEIGHT: f32 = 0.01;
@@ -66,23 +66,30 @@ impl QuantileStep {
     }
 }
 
-/// The interval of one robot.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct ConformalInterval {
-    /// Distance of each end from the forecast, in sizes, for readings with a new measurement due
-    /// (or unknown), and without.
-    below_due: f32,
-    above_due: f32,
-    below_held: f32,
-    above_held: f32,
-    /// Recent mean size of the residuals, W.
-    size_due_w: f32,
-    size_held_w: f32,
-    covered: u64,
-    recent: f32,
-    /// Number of residuals so far, saturating at 255.
-    seen_due: u8,
-    seen_held: u8,
+block! {
+    /// The interval of one robot.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub(crate) struct ConformalInterval;
+
+    /// The intervals of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(32))]
+    pub(crate) struct IntervalLanes {
+        /// Distance of each end from the forecast, in sizes, for readings with a new measurement due
+        /// (or unknown), and without.
+        below_due: f32,
+        above_due: f32,
+        below_held: f32,
+        above_held: f32,
+        /// Recent mean size of the residuals, W.
+        size_due_w: f32,
+        size_held_w: f32,
+        recent: f32,
+        covered: Count,
+        /// Number of residuals so far, saturating at 255.
+        seen_due: u8,
+        seen_held: u8,
+    }
 }
 
 impl ConformalInterval {
@@ -203,24 +210,6 @@ pub(crate) struct EndScale {
     pub size_w: f32,
     pub below: f32,
     pub above: f32,
-}
-
-block! {
-    /// The intervals of a block.
-    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    #[repr(align(32))]
-    pub(crate) struct IntervalLanes of ConformalInterval {
-        below_due: f32,
-        above_due: f32,
-        below_held: f32,
-        above_held: f32,
-        size_due_w: f32,
-        size_held_w: f32,
-        recent: f32,
-        covered: u64,
-        seen_due: u8,
-        seen_held: u8,
-    }
 }
 
 #[cfg(test)]

@@ -42,7 +42,7 @@ use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
-use crate::layout::lanes::{Block, LANES, Lanes, each, put};
+use crate::layout::lanes::{LANES, Lanes, block, each, put};
 use crate::state::added;
 
 /// Deviations that the stack weighs: of the last reading, the network and the mean from the
@@ -166,78 +166,36 @@ fn within(value: f32, most: f32) -> f32 {
     value.max(-most).min(most)
 }
 
-/// A robot's learned forecast state.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Learned {
-    /// The network's own forecast of the next reading, W. NaN before the first.
-    pub network_w: f32,
-    /// Mean of the readings, W. The newest counts 1/256 at least.
-    pub mean_w: f32,
-    /// Mean size of the changes between new measurements, W.
-    pub change_w: f32,
-    /// Weights of the last reading, the network and the stacks if a new measurement is due:
-    /// non-negative, with sum 1.
-    pub weights: [f32; 3],
-    /// Weights of the last reading and the stacks if the last reading will be held.
-    pub held_weights: [f32; 2],
-    /// Gains within the stacks, on the deviations of the last reading, the network and the mean of
-    /// the readings from the model's autoregression: their mean by the stacks' weights.
-    pub gains: [f32; 3],
-    /// Level that the stacks add, W.
-    pub level_w: f32,
-}
+block! {
+    /// A robot's learned forecast state.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    pub struct Learned: UNKNOWN;
 
-/// [`Learned`] of a block.
-pub(crate) struct LearnedColumns {
-    network_w: Lanes<f32>,
-    mean_w: Lanes<f32>,
-    change_w: Lanes<f32>,
-    weights: [Lanes<f32>; 3],
-    held_weights: [Lanes<f32>; 2],
-    gains: [Lanes<f32>; 3],
-    level_w: Lanes<f32>,
+    /// [`Learned`] of a block.
+    #[derive(Clone, Copy)]
+    pub(crate) struct LearnedColumns {
+        /// The network's own forecast of the next reading, W. NaN before the first.
+        pub network_w: f32 = f32::NAN,
+        /// Mean of the readings, W. The newest counts 1/256 at least.
+        pub mean_w: f32 = f32::NAN,
+        /// Mean size of the changes between new measurements, W.
+        pub change_w: f32 = f32::NAN,
+        /// Weights of the last reading, the network and the stacks if a new measurement is due:
+        /// non-negative, with sum 1.
+        pub weights: [f32; 3] = [f32::NAN; 3],
+        /// Weights of the last reading and the stacks if the last reading will be held.
+        pub held_weights: [f32; 2] = [f32::NAN; 2],
+        /// Gains within the stacks, on the deviations of the last reading, the network and the mean
+        /// of the readings from the model's autoregression: their mean by the stacks' weights.
+        pub gains: [f32; 3] = [f32::NAN; 3],
+        /// Level that the stacks add, W.
+        pub level_w: f32 = f32::NAN,
+    }
 }
 
 impl LearnedColumns {
-    /// The state of robots that do not learn: all NaN.
-    pub(crate) const NONE: Self = Self {
-        network_w: [f32::NAN; LANES],
-        mean_w: [f32::NAN; LANES],
-        change_w: [f32::NAN; LANES],
-        weights: [[f32::NAN; LANES]; 3],
-        held_weights: [[f32::NAN; LANES]; 2],
-        gains: [[f32::NAN; LANES]; 3],
-        level_w: [f32::NAN; LANES],
-    };
-
-    #[inline(always)]
-    pub(crate) fn set(&mut self, lane: usize, mask: bool, learned: &Learned) {
-        put(&mut self.network_w[lane], mask, learned.network_w);
-        put(&mut self.mean_w[lane], mask, learned.mean_w);
-        put(&mut self.change_w[lane], mask, learned.change_w);
-        for member in 0..3 {
-            put(&mut self.weights[member][lane], mask, learned.weights[member]);
-            put(&mut self.gains[member][lane], mask, learned.gains[member]);
-        }
-        for member in 0..2 {
-            put(&mut self.held_weights[member][lane], mask, learned.held_weights[member]);
-        }
-        put(&mut self.level_w[lane], mask, learned.level_w);
-    }
-
-    #[inline(always)]
-    pub(crate) fn get(&self, lane: usize) -> Learned {
-        let ([a, b, c], [d, e], [f, g, h]) = (&self.weights, &self.held_weights, &self.gains);
-        Learned {
-            network_w: self.network_w[lane],
-            mean_w: self.mean_w[lane],
-            change_w: self.change_w[lane],
-            weights: [a[lane], b[lane], c[lane]],
-            held_weights: [d[lane], e[lane]],
-            gains: [f[lane], g[lane], h[lane]],
-            level_w: self.level_w[lane],
-        }
-    }
+    /// The state of robots that do not learn.
+    pub(crate) const NONE: Self = Self::all(&Learned::UNKNOWN);
 }
 
 /// Weights as in [`Learned`], with and without a new measurement due, and the confident stack's
@@ -249,30 +207,39 @@ pub(crate) struct Weights {
     pub confidence: f32,
 }
 
-/// One robot's.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Online {
-    theta: [[f32; TERMS]; STACKS],
-    covariance: [[f32; PAIRS]; STACKS],
-    /// The network's forecast of the next reading, W, if the robot has a forecast.
-    pub network_w: f32,
-    /// Mean of the readings so far, W. The newest counts 1/256 at least.
-    pub mean_w: f32,
-    /// r: mean size of their changes, W.
-    change_w: f32,
-    /// [`Hedge`] for readings with a measurement due, and without.
-    due_above: [f32; MEMBERS - 1],
-    due_cost: f32,
-    held_above: f32,
-    held_cost: f32,
-    /// Readings so far, up to 255.
-    seen: u8,
-    /// True if it starts from its last reading.
-    from_last: bool,
-    /// Squared error of the stacks above that of the last reading, over its first readings with a
-    /// measurement due, W², and their number.
-    excess: f32,
-    judged: u8,
+block! {
+    /// One robot's.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    pub(crate) struct Online: NONE;
+
+    /// Learned state of the robots of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(16))]
+    pub(crate) struct OnlineLanes {
+        theta: [[f32; TERMS]; STACKS] = START,
+        covariance: [[f32; PAIRS]; STACKS] = COVARIANCE,
+        /// The network's forecast of the next reading, W, if the robot has a forecast.
+        pub network_w: f32 = f32::NAN,
+        /// Mean of the readings so far, W. The newest counts 1/256 at least.
+        pub mean_w: f32 = 0.0,
+        /// r: mean size of their changes, W.
+        change_w: f32 = 0.0,
+        /// [`Hedge`] for readings with a measurement due, and without.
+        due_above: [f32; MEMBERS - 1] = [0.0; MEMBERS - 1],
+        due_cost: f32 = 0.0,
+        held_above: f32 = 0.0,
+        held_cost: f32 = 0.0,
+        /// Readings so far, up to 255.
+        seen: u8 = 0,
+        /// True if it starts from its last reading.
+        from_last: bool = false,
+        /// Squared error of the stacks above that of the last reading, over its first readings with
+        /// a measurement due, W², and their number.
+        #[serde(deserialize_with = "added::read::<0x10, _, _>")]
+        excess: f32 = 0.0,
+        #[serde(deserialize_with = "added::read::<0x10, _, _>")]
+        judged: u8 = 0,
+    }
 }
 
 /// The members' forecasts, and the stack's inputs.
@@ -284,72 +251,23 @@ struct MemberForecasts {
     u: [f32; TERMS],
 }
 
-/// The update of the stack by a reading.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct RlsUpdate {
-    u: [f32; TERMS],
-    innovation_w: [f32; STACKS],
-    /// r².
-    square: f32,
-    due: bool,
-}
+block! {
+    /// The update of the stack by a reading.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct RlsUpdate: NONE;
 
-/// [`RlsUpdate`]s of a block.
-pub(crate) struct RlsUpdateLanes {
-    u: [Lanes<f32>; TERMS],
-    innovation_w: [Lanes<f32>; STACKS],
-    square: Lanes<f32>,
-    due: Lanes<bool>,
-}
-
-impl RlsUpdateLanes {
-    pub(crate) const NONE: Self = Self {
-        u: [[0.0; LANES]; TERMS],
-        innovation_w: [[0.0; LANES]; STACKS],
-        square: [1.0; LANES],
-        due: [false; LANES],
-    };
-
-    #[inline(always)]
-    pub(crate) fn get(&self, lane: usize) -> RlsUpdate {
-        RlsUpdate {
-            u: [self.u[0][lane], self.u[1][lane], self.u[2][lane], self.u[3][lane]],
-            innovation_w: [self.innovation_w[0][lane], self.innovation_w[1][lane]],
-            square: self.square[lane],
-            due: self.due[lane],
-        }
-    }
-
-    #[inline(always)]
-    pub(crate) fn set(&mut self, lane: usize, update: &RlsUpdate) {
-        for term in 0..TERMS {
-            self.u[term][lane] = update.u[term];
-        }
-        for stack in 0..STACKS {
-            self.innovation_w[stack][lane] = update.innovation_w[stack];
-        }
-        self.square[lane] = update.square;
-        self.due[lane] = update.due;
+    /// [`RlsUpdate`]s of a block.
+    #[derive(Clone, Copy)]
+    pub(crate) struct RlsUpdateLanes {
+        u: [f32; TERMS] = [0.0; TERMS],
+        innovation_w: [f32; STACKS] = [0.0; STACKS],
+        /// r².
+        square: f32 = 1.0,
+        due: bool = false,
     }
 }
 
 impl Online {
-    pub(crate) const NONE: Self = Self {
-        theta: START,
-        covariance: COVARIANCE,
-        network_w: f32::NAN,
-        mean_w: 0.0,
-        change_w: 0.0,
-        due_above: [0.0; MEMBERS - 1],
-        due_cost: 0.0,
-        held_above: 0.0,
-        held_cost: 0.0,
-        seen: 0,
-        from_last: false,
-        excess: 0.0,
-        judged: 0,
-    };
-
     /// Before the first reading. `from_last`: network and stacks must earn their weights.
     pub(crate) fn new(members: &Members, from_last: bool) -> Self {
         Self { change_w: members.change_w, from_last, ..Self::NONE }
@@ -559,27 +477,6 @@ impl Online {
     }
 }
 
-/// Learned state of the robots of a block.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-#[repr(align(16))]
-pub(crate) struct OnlineLanes {
-    theta: [[Lanes<f32>; TERMS]; STACKS],
-    covariance: [[Lanes<f32>; PAIRS]; STACKS],
-    pub network_w: Lanes<f32>,
-    pub mean_w: Lanes<f32>,
-    change_w: Lanes<f32>,
-    due_above: [Lanes<f32>; MEMBERS - 1],
-    due_cost: Lanes<f32>,
-    held_above: Lanes<f32>,
-    held_cost: Lanes<f32>,
-    seen: Lanes<u8>,
-    from_last: Lanes<bool>,
-    #[serde(deserialize_with = "added::read_0x10")]
-    excess: Lanes<f32>,
-    #[serde(deserialize_with = "added::read_0x10")]
-    judged: Lanes<u8>,
-}
-
 impl OnlineLanes {
     /// Stores what [`Online::update_weights`] changes.
     #[inline(always)]
@@ -624,46 +521,6 @@ impl OnlineLanes {
 }
 
 const _: () = assert!(size_of::<OnlineLanes>() <= 156 * crate::layout::lanes::LANES);
-
-impl Block for OnlineLanes {
-    type Robot = Online;
-
-    #[inline(always)]
-    fn get(&self, lane: usize) -> Online {
-        let mut robot = Online::NONE;
-        for stack in 0..STACKS {
-            for term in 0..TERMS {
-                robot.theta[stack][term] = self.theta[stack][term][lane];
-            }
-            for pair in 0..PAIRS {
-                robot.covariance[stack][pair] = self.covariance[stack][pair][lane];
-            }
-        }
-        robot.network_w = self.network_w[lane];
-        robot.mean_w = self.mean_w[lane];
-        robot.change_w = self.change_w[lane];
-        for member in 0..MEMBERS - 1 {
-            robot.due_above[member] = self.due_above[member][lane];
-        }
-        robot.due_cost = self.due_cost[lane];
-        robot.held_above = self.held_above[lane];
-        robot.held_cost = self.held_cost[lane];
-        robot.seen = self.seen[lane];
-        robot.from_last = self.from_last[lane];
-        robot.excess = self.excess[lane];
-        robot.judged = self.judged[lane];
-        robot
-    }
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, mask: bool, robot: Online) {
-        self.set_stacks(lane, mask, &robot);
-        self.set_losses(lane, mask, &robot);
-        self.set_sizes(lane, mask, &robot);
-        put(&mut self.network_w[lane], mask, robot.network_w);
-        put(&mut self.from_last[lane], mask, robot.from_last);
-    }
-}
 
 #[cfg(test)]
 mod tests {

@@ -3,19 +3,26 @@
 use joulebus_predictor::nan::canonical_f64;
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::block;
+use crate::layout::lanes::{Count, block};
 
-/// Running scores of one robot. Sums in `f64`, in the order of its samples.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-pub struct Scores {
-    /// Readings scored.
-    pub count: u64,
-    sum_abs_w: f64,
-    sum_sq_w2: f64,
-    persistence_sum_abs_w: f64,
-    persistence_sum_sq_w2: f64,
-    mean_w: f64,
-    scatter_w2: f64,
+block! {
+    /// Running scores of one robot. Sums in `f64`, in the order of its samples.
+    #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+    pub struct Scores;
+
+    /// The scores of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(64))]
+    pub(crate) struct ScoreLanes {
+        /// Readings scored.
+        pub count: Count,
+        sum_abs_w: f64,
+        sum_sq_w2: f64,
+        persistence_sum_abs_w: f64,
+        persistence_sum_sq_w2: f64,
+        mean_w: f64,
+        scatter_w2: f64,
+    }
 }
 
 impl Scores {
@@ -77,21 +84,6 @@ fn explained(error: f64, of: f64) -> f64 {
     let explained = 1.0 - error * (1.0 / of);
     // Infinite sums have no ratio.
     canonical_f64(if of > 0.0 { explained } else { f64::NAN })
-}
-
-block! {
-    /// The scores of a block.
-    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    #[repr(align(64))]
-    pub(crate) struct ScoreLanes of Scores {
-        pub count: u64,
-        sum_abs_w: f64,
-        sum_sq_w2: f64,
-        persistence_sum_abs_w: f64,
-        persistence_sum_sq_w2: f64,
-        mean_w: f64,
-        scatter_w2: f64,
-    }
 }
 
 #[cfg(test)]

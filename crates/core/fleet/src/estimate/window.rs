@@ -3,20 +3,27 @@
 mod lanes;
 
 use joulebus_predictor::{FeatureSet, Features, LAGS, ReadingAge, features};
+use serde::{Deserialize, Serialize};
+
+use crate::layout::lanes::block;
 
 pub(crate) use lanes::{ClosedLanes, WindowLanes};
 
-/// The last readings, newest first, and the forecast made from them.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Lags {
-    pub lag_w: [f32; LAGS],
-    /// NaN if there is none.
-    pub forecast_w: f32,
+block! {
+    /// The last readings, newest first, and the forecast made from them.
+    #[derive(Debug, Clone, Copy, PartialEq)]
+    pub(crate) struct Lags: EMPTY;
+
+    /// [`Lags`] of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    struct LagLanes {
+        pub lag_w: [f32; LAGS] = [f32::NAN; LAGS],
+        /// NaN if there is none.
+        pub forecast_w: f32 = f32::NAN,
+    }
 }
 
 impl Lags {
-    const EMPTY: Self = Self { lag_w: [f32::NAN; LAGS], forecast_w: f32::NAN };
-
     /// Advances the window by one sample period.
     #[inline(always)]
     fn push(&mut self, power_w: f32) {

@@ -123,7 +123,7 @@ impl Fleet {
         lanes::set(&mut columns.ledgers, slot, ledger);
         lanes::set(&mut columns.intervals, slot, interval);
         lanes::set(&mut columns.scores, slot, Scores::default());
-        lanes::set(&mut columns.detectors, slot, Detector::new());
+        lanes::set(&mut columns.detectors, slot, Detector::NONE);
         let rules = context.levels.among(&context.errors.platform().memory);
         lanes::set(&mut columns.levels, slot, Level::new(&rules));
         lanes::set(&mut columns.energy, slot, EnergyState::among(id, context.errors.platform()));

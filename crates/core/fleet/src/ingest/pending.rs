@@ -3,21 +3,26 @@
 use joulebus_wire::{Sample, sample_flag};
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::{Lanes, block, put};
-use crate::layout::shift::Shift;
+use crate::layout::lanes::{Count, InstantNs, Lanes, block, put};
 
-/// A sample that has passed the checks: the fields that the tick uses.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Pending {
-    pub seq: u64,
-    pub stamp_ns: u64,
-    pub measured_ns: u64,
-    pub v_mps: f32,
-    pub omega_radps: f32,
-    pub power_w: f32,
-    flags: u8,
-    /// True if it breaks the sequence, so that earlier samples are irrelevant.
-    pub broken: bool,
+block! {
+    /// A sample that has passed the checks: the fields that the tick uses.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct Pending;
+
+    /// [`Pending`] samples of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    pub(crate) struct PendingLanes {
+        pub seq: Count,
+        pub stamp_ns: InstantNs,
+        pub measured_ns: InstantNs,
+        pub v_mps: f32,
+        pub omega_radps: f32,
+        pub power_w: f32,
+        flags: u8,
+        /// True if it breaks the sequence, so that earlier samples are irrelevant.
+        pub broken: bool,
+    }
 }
 
 // The flags that the tick reads fit. The battery's values of samples are kept with the battery.
@@ -75,39 +80,6 @@ pub(crate) enum PendingState {
     Absorbed,
     /// Same as `Absorbed`, for a sample that breaks the sequence.
     Broken,
-}
-
-block! {
-    /// [`Pending`] samples of a block.
-    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    pub(crate) struct PendingLanes of Pending {
-        seq: u64,
-        pub stamp_ns: u64,
-        measured_ns: u64,
-        v_mps: f32,
-        omega_radps: f32,
-        pub power_w: f32,
-        flags: u8,
-        broken: bool,
-    }
-}
-
-impl PendingLanes {
-    /// Moves the instants to another clock.
-    pub(crate) fn shift(&mut self, shift: Shift) {
-        let Self {
-            seq: _,
-            stamp_ns,
-            measured_ns,
-            v_mps: _,
-            omega_radps: _,
-            power_w: _,
-            flags: _,
-            broken: _,
-        } = self;
-        shift.instants(stamp_ns);
-        shift.instants(measured_ns);
-    }
 }
 
 /// The newest samples of a block, with their processing states.

@@ -28,38 +28,169 @@ pub(crate) trait Block: Copy {
     fn set(&mut self, lane: usize, mask: bool, robot: Self::Robot);
 }
 
-/// Declares the block of a struct whose fields are all numbers, each a column, in this order.
+/// An instant, ns. Another clock moves it: see [`crate::FleetState::shifted`].
+pub(crate) type InstantNs = u64;
+/// A duration, ns.
+pub(crate) type DurationNs = u64;
+/// A number that is no time.
+pub(crate) type Count = u64;
+
+/// Declares the state of a robot, and the block that has a column for each of its numbers, in the
+/// order in which both are stored:
+///
+/// ```text
+/// block! {
+///     struct Robot: NONE;            // `: NONE` declares that constant, from the `= …` below
+///     struct RobotLanes {            // left out: such a state is stored robot by robot
+///         stamp_ns: InstantNs = 0,   // never `u64`, so that its author decides what it is
+///         lag_w: [f32; LAGS] = [f32::NAN; LAGS],    // a column each
+///     }
+/// }
+/// ```
+///
+/// Attributes of fields are those of both.
 macro_rules! block {
     (
-        $(#[$about:meta])*
-        $visible:vis struct $block:ident of $robot:ident {
-            $($(#[$about_field:meta])* $field_visible:vis $field:ident: $number:ty,)*
-        }
+        $(#[$about_robot:meta])* $seen:vis struct $robot:ident $(: $none:ident)?;
+        $(#[$about:meta])* $visible:vis struct $block:ident $fields:tt
     ) => {
+        $crate::layout::lanes::block! { @robot $(#[$about_robot])* $seen $robot $fields }
+        $($crate::layout::lanes::block! { @none $robot $none $fields })?
+        $crate::layout::lanes::block! { @block $robot $(#[$about])* $visible $block $fields }
+    };
+    ($(#[$about:meta])* $visible:vis struct $robot:ident: $none:ident $fields:tt) => {
+        $crate::layout::lanes::block! { @robot $(#[$about])* $visible $robot $fields }
+        $crate::layout::lanes::block! { @none $robot $none $fields }
+    };
+    (@robot $(#[$about:meta])* $visible:vis $robot:ident {
+        $($(#[$field_about:meta])* $field_visible:vis $field:ident: $number:tt $(= $start:expr)?,)*
+    }) => {
+        $(#[$about])*
+        $visible struct $robot {
+            $($(#[$field_about])* $field_visible $field: $number,)*
+        }
+
+        impl $robot {
+            /// Moves the instants to another clock. Returns by how much they would be before its
+            /// start, ns.
+            #[allow(dead_code, unused_mut, unused_variables)]
+            pub(crate) fn shift_instants(&mut self, shift: $crate::layout::shift::Shift) -> u64 {
+                let mut before_ns = 0u64;
+                $($crate::layout::lanes::column!(shift before_ns, self.$field, shift, $number);)*
+                before_ns
+            }
+        }
+    };
+    (@none $robot:ident $none:ident {
+        $($(#[$about:meta])* $visible:vis $field:ident: $number:tt = $start:expr,)*
+    }) => {
+        impl $robot {
+            /// Before the first sample.
+            pub(crate) const $none: Self = Self { $($field: $start,)* };
+        }
+    };
+    (@block $robot:ident $(#[$about:meta])* $visible:vis $block:ident {
+        $($(#[$field_about:meta])* $field_visible:vis $field:ident: $number:tt $(= $start:expr)?,)*
+    }) => {
         $(#[$about])*
         $visible struct $block {
-            $($(#[$about_field])* $field_visible $field: $crate::layout::lanes::Lanes<$number>,)*
+            $($(#[$field_about])* $field_visible $field: $crate::layout::lanes::column!(type $number),)*
+        }
+
+        impl $block {
+            /// The same robot in each lane.
+            #[allow(dead_code)]
+            pub(crate) const fn all(robot: &$robot) -> Self {
+                Self { $($field: $crate::layout::lanes::column!(all robot.$field, $number),)* }
+            }
         }
 
         impl $crate::layout::lanes::Block for $block {
             type Robot = $robot;
 
             #[inline(always)]
+            #[allow(clippy::needless_range_loop)]
             fn get(&self, lane: usize) -> $robot {
-                $robot {
-                    $($field: self.$field[lane],)*
-                }
+                $robot { $($field: $crate::layout::lanes::column!(get self.$field, lane, $number),)* }
             }
 
             #[inline(always)]
+            #[allow(clippy::needless_range_loop)]
             fn set(&mut self, lane: usize, mask: bool, robot: $robot) {
-                $($crate::layout::lanes::put(&mut self.$field[lane], mask, robot.$field);)*
+                $($crate::layout::lanes::column!(set self.$field, lane, mask, robot.$field, $number);)*
             }
         }
     };
 }
 
-pub(crate) use block;
+/// What [`block`] does with the column of a number, or with the columns of an array of numbers.
+/// Arrays need loops, because calls of `map` and `from_fn` are not always inlined.
+macro_rules! column {
+    (type [[$number:ty; $inner:expr]; $outer:expr]) => {
+        [[$crate::layout::lanes::Lanes<$number>; $inner]; $outer]
+    };
+    (type [$number:ty; $count:expr]) => { [$crate::layout::lanes::Lanes<$number>; $count] };
+    (type $number:ty) => { $crate::layout::lanes::Lanes<$number> };
+    (all $value:expr, [[$number:ty; $inner:expr]; $outer:expr]) => {{
+        let (mut all, mut place) = ([[[$value[0][0]; $crate::layout::lanes::LANES]; $inner]; $outer], 0);
+        while place < $inner * $outer {
+            let value = $value[place / $inner][place % $inner];
+            all[place / $inner][place % $inner] = [value; $crate::layout::lanes::LANES];
+            place += 1;
+        }
+        all
+    }};
+    (all $value:expr, [$number:ty; $count:expr]) => {{
+        let (mut all, mut place) = ([[$value[0]; $crate::layout::lanes::LANES]; $count], 1);
+        while place < $count {
+            all[place] = [$value[place]; $crate::layout::lanes::LANES];
+            place += 1;
+        }
+        all
+    }};
+    (all $value:expr, $number:ty) => { [$value; $crate::layout::lanes::LANES] };
+    (get $columns:expr, $lane:ident, [[$number:ty; $inner:expr]; $outer:expr]) => {{
+        let mut numbers = [[<$number>::default(); $inner]; $outer];
+        for outer in 0..$outer {
+            for inner in 0..$inner {
+                numbers[outer][inner] = $columns[outer][inner][$lane];
+            }
+        }
+        numbers
+    }};
+    (get $columns:expr, $lane:ident, [$number:ty; $count:expr]) => {{
+        let mut numbers = [<$number>::default(); $count];
+        for place in 0..$count {
+            numbers[place] = $columns[place][$lane];
+        }
+        numbers
+    }};
+    (get $column:expr, $lane:ident, $number:ty) => { $column[$lane] };
+    (set $columns:expr, $lane:ident, $mask:ident, $value:expr, [[$number:ty; $inner:expr]; $outer:expr]) => {
+        for outer in 0..$outer {
+            for inner in 0..$inner {
+                $crate::layout::lanes::put(&mut $columns[outer][inner][$lane], $mask, $value[outer][inner]);
+            }
+        }
+    };
+    (set $columns:expr, $lane:ident, $mask:ident, $value:expr, [$number:ty; $count:expr]) => {
+        for place in 0..$count {
+            $crate::layout::lanes::put(&mut $columns[place][$lane], $mask, $value[place]);
+        }
+    };
+    (set $column:expr, $lane:ident, $mask:ident, $value:expr, $number:ty) => {
+        $crate::layout::lanes::put(&mut $column[$lane], $mask, $value);
+    };
+    (shift $before_ns:ident, $instant:expr, $shift:ident, InstantNs) => {
+        $before_ns = $before_ns.saturating_add($shift.instant(&mut $instant));
+    };
+    (shift $before_ns:ident, $number:expr, $shift:ident, u64) => {
+        compile_error!("a state's u64 is an InstantNs, a DurationNs or a Count");
+    };
+    (shift $before_ns:ident, $number:expr, $shift:ident, $other:tt) => {};
+}
+
+pub(crate) use {block, column};
 
 /// Stores the value where the mask is set, by a select instead of a branch.
 #[inline(always)]
@@ -94,6 +225,17 @@ pub(crate) fn get<B: Block>(blocks: &[B], slot: usize) -> B::Robot {
 #[inline(always)]
 pub(crate) fn set<B: Block>(blocks: &mut [B], slot: usize, robot: B::Robot) {
     blocks[slot / LANES].set(slot % LANES, true, robot);
+}
+
+/// Changes each robot of the blocks.
+pub(crate) fn for_each<B: Block>(blocks: &mut [B], mut change: impl FnMut(&mut B::Robot)) {
+    for block in blocks {
+        for lane in 0..LANES {
+            let mut robot = block.get(lane);
+            change(&mut robot);
+            block.set(lane, true, robot);
+        }
+    }
 }
 
 /// True if any lane is set.

@@ -23,13 +23,6 @@ impl Shift {
         // The distance to 1, the first instant.
         before_ns.min(offset_ns)
     }
-
-    /// Moves an instant of each robot of a block.
-    pub(crate) fn instants(self, stamps_ns: &mut [u64]) {
-        for stamp_ns in stamps_ns {
-            self.instant(stamp_ns);
-        }
-    }
 }
 
 #[cfg(test)]

@@ -14,8 +14,7 @@ use joulebus_wire::{
 use serde::{Deserialize, Serialize};
 
 use crate::ingest::last_sample::LastLanes;
-use crate::layout::lanes::{Block as _, LANES, block, put};
-use crate::layout::shift::Shift;
+use crate::layout::lanes::{DurationNs, InstantNs, LANES, block, put};
 use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
 use crate::ledger::gap::GapPower;
@@ -75,161 +74,99 @@ pub(crate) struct Charging {
     pub unmetered: bool,
 }
 
-/// The state of a robot's battery.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub(crate) struct BatteryState {
-    /// [`EnergyLeft`] at the anchor, `monitor` apart.
-    pub soc: f64,
-    pub sd: f64,
-    pub below: f64,
-    pub above: f64,
-    /// The ledger at the anchor.
-    drawn_uj: i64,
-    metered_ns: u64,
-    unmetered_ns: u64,
-    /// Change of the state of charge since the robot joined, but by charging that is not metered:
-    /// measured values are compared with it.
-    pub counted: f64,
-    /// Error of the measured state of charge, its variance, and its covariance with `soc`.
-    pub bias: f64,
-    pub bias_var: f64,
-    pub covariance: f64,
-    /// Stamp of the last measured value that was looked at, ns. 0 before the first.
-    pub measured_ns: u64,
-    /// That value. `counted` is the counted one when it last changed.
-    pub measured: f64,
-    pub equal_counted: f64,
-    /// Measured minus estimated, while measured values contradict the estimate, else NaN. Since
-    /// which stamp, and with which measured value.
-    pub jump: f64,
-    pub jump_ns: u64,
-    pub jump_measured: f64,
-    /// Stamp of the last sample that did not continue the one before it, ns.
-    pub interrupted_ns: u64,
-    /// Times that another battery was noticed.
-    pub changes: u32,
-    /// Alarms of the battery that are raised: [`joulebus_wire::AlarmSet`] bits.
-    pub raised: u32,
-    /// True if the last sample was on the charger.
-    pub charging: bool,
-    /// True if measured values are part of the estimate.
-    pub fused: bool,
-    /// Inputs of the newest sample: measured state of charge and energy to return, J (NaN if
-    /// unknown), whether the first is derived from a voltage, and events.
-    input: f64,
-    pub return_j: f64,
-    input_by_voltage: bool,
-    events: u8,
-    /// The monitor's part of the errors of `soc` and of `bias`, in its standard deviations:
-    /// [`EnergyLeft::monitor`].
-    #[serde(deserialize_with = "added::read")]
-    pub monitor: f64,
-    #[serde(deserialize_with = "added::read")]
-    pub bias_monitor: f64,
-    /// [`EnergyLeft::range_sd`] at the anchor.
-    #[serde(deserialize_with = "added::read")]
-    pub range_sd: f64,
-    /// Mean power at the newest sample, and the last reading, W. NaN if unknown. A gap after them is
-    /// valued by them.
-    #[serde(deserialize_with = "added::read")]
-    pub mean_w: f32,
-    #[serde(deserialize_with = "added::read")]
-    reading_w: f32,
-    /// True if the newest sample reported a full battery.
-    #[serde(deserialize_with = "added::read")]
-    full: bool,
-    /// True if the newest sample said that the robot is switched off.
-    #[serde(deserialize_with = "added::read_0x11")]
-    pub off: bool,
-    /// Mean power at rest, W. NaN if unknown.
-    #[serde(deserialize_with = "added::read_0x11")]
-    pub idle_w: f32,
-    /// Unmetered time since the charge was last known, s, and by how much it has lowered the lower
-    /// bound at most, as a share. The gap that has not ended is not in them.
-    #[serde(deserialize_with = "added::read_0x11")]
-    pub pause_s: f32,
-    #[serde(deserialize_with = "added::read_0x11")]
-    pub pause: f32,
-    /// Learned capacity as a share of the stated one, and its relative standard deviation: 0 before
-    /// anything is learned.
-    #[serde(deserialize_with = "added::read_0x12")]
-    pub capacity: f32,
-    #[serde(deserialize_with = "added::read_0x12")]
-    pub capacity_sd: f32,
-    #[serde(deserialize_with = "added::read_0x12")]
-    pub lessons: Lessons,
-}
-
 block! {
+    /// The state of a robot's battery.
+    #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+    pub(crate) struct BatteryState: NONE;
+
     /// The batteries of a block.
     #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
     #[repr(align(64))]
-    pub(crate) struct BatteryLanes of BatteryState {
-        soc: f64,
-        sd: f64,
-        below: f64,
-        above: f64,
-        drawn_uj: i64,
-        metered_ns: u64,
-        unmetered_ns: u64,
-        counted: f64,
-        bias: f64,
-        bias_var: f64,
-        covariance: f64,
-        measured_ns: u64,
-        measured: f64,
-        equal_counted: f64,
-        jump: f64,
-        jump_ns: u64,
-        jump_measured: f64,
-        interrupted_ns: u64,
-        changes: u32,
-        pub raised: u32,
-        charging: bool,
-        fused: bool,
-        input: f64,
-        pub return_j: f64,
-        input_by_voltage: bool,
-        events: u8,
-        #[serde(deserialize_with = "added::read")]
-        monitor: f64,
-        #[serde(deserialize_with = "added::read")]
-        bias_monitor: f64,
-        #[serde(deserialize_with = "added::read")]
-        range_sd: f64,
-        #[serde(deserialize_with = "added::read")]
-        pub mean_w: f32,
-        #[serde(deserialize_with = "added::read")]
-        pub reading_w: f32,
-        #[serde(deserialize_with = "added::read")]
-        full: bool,
-        #[serde(deserialize_with = "added::read_0x11")]
-        pub off: bool,
-        #[serde(deserialize_with = "added::read_0x11")]
-        pub idle_w: f32,
-        #[serde(deserialize_with = "added::read_0x11")]
-        pub pause_s: f32,
-        #[serde(deserialize_with = "added::read_0x11")]
-        pub pause: f32,
-        #[serde(deserialize_with = "added::read_0x12")]
-        pub capacity: f32,
-        #[serde(deserialize_with = "added::read_0x12")]
-        pub capacity_sd: f32,
-        #[serde(deserialize_with = "added::read_0x12")]
-        pub lessons: Lessons,
+    pub(crate) struct BatteryLanes {
+        /// [`EnergyLeft`] at the anchor, `monitor` apart.
+        pub soc: f64 = 0.0,
+        pub sd: f64 = 0.0,
+        pub below: f64 = 0.0,
+        pub above: f64 = 0.0,
+        /// The ledger at the anchor.
+        drawn_uj: i64 = 0,
+        metered_ns: DurationNs = 0,
+        unmetered_ns: DurationNs = 0,
+        /// Change of the state of charge since the robot joined, but by charging that is not metered:
+        /// measured values are compared with it.
+        pub counted: f64 = 0.0,
+        /// Error of the measured state of charge, its variance, and its covariance with `soc`.
+        pub bias: f64 = 0.0,
+        pub bias_var: f64 = 0.0,
+        pub covariance: f64 = 0.0,
+        /// Stamp of the last measured value that was looked at, ns. 0 before the first.
+        pub measured_ns: InstantNs = 0,
+        /// That value. `counted` is the counted one when it last changed.
+        pub measured: f64 = f64::NAN,
+        pub equal_counted: f64 = 0.0,
+        /// Measured minus estimated, while measured values contradict the estimate, else NaN. Since
+        /// which stamp, and with which measured value.
+        pub jump: f64 = f64::NAN,
+        pub jump_ns: InstantNs = 0,
+        pub jump_measured: f64 = f64::NAN,
+        /// Stamp of the last sample that did not continue the one before it, ns.
+        pub interrupted_ns: InstantNs = 0,
+        /// Times that another battery was noticed.
+        pub changes: u32 = 0,
+        /// Alarms of the battery that are raised: [`joulebus_wire::AlarmSet`] bits.
+        pub raised: u32 = 0,
+        /// True if the last sample was on the charger.
+        pub charging: bool = false,
+        /// True if measured values are part of the estimate.
+        pub fused: bool = false,
+        /// Inputs of the newest sample: measured state of charge and energy to return, J (NaN if
+        /// unknown), whether the first is derived from a voltage, and events.
+        input: f64 = f64::NAN,
+        pub return_j: f64 = f64::NAN,
+        input_by_voltage: bool = false,
+        events: u8 = 0,
+        /// The monitor's part of the errors of `soc` and of `bias`, in its standard deviations:
+        /// [`EnergyLeft::monitor`].
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
+        pub monitor: f64 = 0.0,
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
+        pub bias_monitor: f64 = 0.0,
+        /// [`EnergyLeft::range_sd`] at the anchor.
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
+        pub range_sd: f64 = 0.0,
+        /// Mean power at the newest sample, and the last reading, W. NaN if unknown. A gap after them is
+        /// valued by them.
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
+        pub mean_w: f32 = f32::NAN,
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
+        pub reading_w: f32 = f32::NAN,
+        /// True if the newest sample reported a full battery.
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
+        full: bool = false,
+        /// True if the newest sample said that the robot is switched off.
+        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
+        pub off: bool = false,
+        /// Mean power at rest, W. NaN if unknown.
+        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
+        pub idle_w: f32 = f32::NAN,
+        /// Unmetered time since the charge was last known, s, and by how much it has lowered the lower
+        /// bound at most, as a share. The gap that has not ended is not in them.
+        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
+        pub pause_s: f32 = 0.0,
+        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
+        pub pause: f32 = 0.0,
+        /// Learned capacity as a share of the stated one, and its relative standard deviation: 0 before
+        /// anything is learned.
+        #[serde(deserialize_with = "added::read::<0x12, _, _>")]
+        pub capacity: f32 = 0.0,
+        #[serde(deserialize_with = "added::read::<0x12, _, _>")]
+        pub capacity_sd: f32 = 0.0,
+        #[serde(deserialize_with = "added::read::<0x12, _, _>")]
+        pub lessons: Lessons = Lessons::NONE,
     }
 }
 
 impl BatteryLanes {
-    /// Same as [`BatteryState::shift`], for all.
-    pub(crate) fn shift(&mut self, shift: Shift) {
-        for lane in 0..LANES {
-            let mut battery = self.get(lane);
-            battery.shift(shift);
-            self.set(lane, true, battery);
-        }
-    }
-
     /// Completes a state of a version before, whose robots have these last samples. `has_means`: it
     /// has their means.
     pub(crate) fn complete(&mut self, lasts: &LastLanes, has_means: bool) {
@@ -275,43 +212,8 @@ impl BatteryState {
         Self {
             soc: battery.initial_soc,
             sd,
-            below: 0.0,
-            above: 0.0,
-            drawn_uj: 0,
-            metered_ns: 0,
-            unmetered_ns: 0,
-            counted: 0.0,
-            bias: 0.0,
             bias_var: battery.sensor_sd * battery.sensor_sd,
-            covariance: 0.0,
-            measured_ns: 0,
-            measured: f64::NAN,
-            equal_counted: 0.0,
-            jump: f64::NAN,
-            jump_ns: 0,
-            jump_measured: f64::NAN,
-            interrupted_ns: 0,
-            changes: 0,
-            raised: 0,
-            charging: false,
-            fused: false,
-            input: f64::NAN,
-            return_j: f64::NAN,
-            input_by_voltage: false,
-            events: 0,
-            monitor: 0.0,
-            bias_monitor: 0.0,
-            range_sd: 0.0,
-            mean_w: f32::NAN,
-            reading_w: f32::NAN,
-            full: false,
-            off: false,
-            idle_w: f32::NAN,
-            pause_s: 0.0,
-            pause: 0.0,
-            capacity: 0.0,
-            capacity_sd: 0.0,
-            lessons: Lessons::default(),
+            ..Self::NONE
         }
     }
 
@@ -321,55 +223,6 @@ impl BatteryState {
         let mut unknown = Self { soc, sd, below, above, ..Self::new(battery) };
         unknown.anchor(at);
         unknown
-    }
-
-    /// Moves the instants to another clock. Of the anchor both times are durations.
-    pub(crate) fn shift(&mut self, shift: Shift) {
-        let Self {
-            soc: _,
-            sd: _,
-            below: _,
-            above: _,
-            drawn_uj: _,
-            metered_ns: _,
-            unmetered_ns: _,
-            counted: _,
-            bias: _,
-            bias_var: _,
-            covariance: _,
-            measured_ns,
-            measured: _,
-            equal_counted: _,
-            jump: _,
-            jump_ns,
-            jump_measured: _,
-            interrupted_ns,
-            changes: _,
-            raised: _,
-            charging: _,
-            fused: _,
-            input: _,
-            return_j: _,
-            input_by_voltage: _,
-            events: _,
-            monitor: _,
-            bias_monitor: _,
-            range_sd: _,
-            mean_w: _,
-            reading_w: _,
-            full: _,
-            off: _,
-            idle_w: _,
-            pause_s: _,
-            pause: _,
-            capacity: _,
-            capacity_sd: _,
-            // Its times are durations.
-            lessons: _,
-        } = self;
-        for instant_ns in [measured_ns, jump_ns, interrupted_ns] {
-            shift.instant(instant_ns);
-        }
     }
 
     fn anchor(&mut self, at: At) {
@@ -1023,9 +876,9 @@ pub(crate) enum Known {
     /// it.
     Saved(
         SavedBattery,
-        #[serde(deserialize_with = "added::read")] f32,
-        #[serde(deserialize_with = "added::read_0x11")] SavedPause,
-        #[serde(deserialize_with = "added::read_0x12")] SavedLessons,
+        #[serde(deserialize_with = "added::read::<0x0f, _, _>")] f32,
+        #[serde(deserialize_with = "added::read::<0x11, _, _>")] SavedPause,
+        #[serde(deserialize_with = "added::read::<0x12, _, _>")] SavedLessons,
     ),
 }
 

@@ -28,7 +28,7 @@ impl Account {
         let Self { robot: _, charged: _, ledger, battery } = self;
         ledger.shift(shift);
         match battery {
-            Known::Kept(kept) => kept.shift(shift),
+            Known::Kept(kept) => _ = kept.shift_instants(shift),
             // Without instants.
             Known::Nothing | Known::Saved(..) => {}
         }

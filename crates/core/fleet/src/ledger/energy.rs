@@ -2,51 +2,48 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::{Block as _, LANES, block, put};
+use crate::layout::lanes::{DurationNs, InstantNs, block, put};
 use crate::layout::shift::Shift;
 
 /// µW·ns in one µJ, times 2: the trapezoid is summed without halving.
 const UNITS_PER_UJ: i64 = 2_000_000_000;
 
-/// Energy drawn, metered and unmetered time of one robot.
-///
-/// Exact: `metered_ns + unmetered_ns` is always the time between the first stamp and the last, and
-/// the integral loses nothing to rounding (remainders below one µJ are carried). A total in `f32`
-/// would have an error of 3.6 % after 30 days.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Ledger {
-    /// Energy drawn over the metered time, µJ.
-    pub drawn_uj: i64,
-    /// Forecast energy over the same time, µJ.
-    pub forecast_uj: i64,
-    /// Time between consecutive readings without a gap, ns.
-    pub metered_ns: u64,
-    /// All other time, ns.
-    pub unmetered_ns: u64,
-    stamp_ns: u64,
-    /// Remainder of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
-    pub drawn_remainder: u32,
-    /// Same as `drawn_remainder`.
-    forecast_remainder: u32,
-    /// Bits of the last reading in W, NaN's if there is none.
-    last_power: u32,
-    /// True if `stamp_ns` belongs to a sample.
-    begun: bool,
+block! {
+    /// Energy drawn, metered and unmetered time of one robot.
+    ///
+    /// Exact: `metered_ns + unmetered_ns` is always the time between the first stamp and the last,
+    /// and the integral loses nothing to rounding (remainders below one µJ are carried). A total in
+    /// `f32` would have an error of 3.6 % after 30 days.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+    pub struct Ledger: NONE;
+
+    /// The ledgers of a block.
+    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+    #[repr(align(32))]
+    pub(crate) struct LedgerLanes {
+        /// Energy drawn over the metered time, µJ.
+        pub drawn_uj: i64 = 0,
+        /// Forecast energy over the same time, µJ.
+        pub forecast_uj: i64 = 0,
+        /// Time between consecutive readings without a gap, ns.
+        pub metered_ns: DurationNs = 0,
+        /// All other time, ns.
+        pub unmetered_ns: DurationNs = 0,
+        stamp_ns: InstantNs = 0,
+        /// Remainder of the integral below one µJ, in µW·ns · 2, from 0 to 1,999,999,999.
+        pub drawn_remainder: u32 = 0,
+        /// Same as `drawn_remainder`.
+        forecast_remainder: u32 = 0,
+        /// Bits of the last reading in W, NaN's if there is none.
+        last_power: u32 = f32::NAN.to_bits(),
+        /// True if `stamp_ns` belongs to a sample.
+        begun: bool = false,
+    }
 }
 
 impl Default for Ledger {
     fn default() -> Self {
-        Self {
-            drawn_uj: 0,
-            forecast_uj: 0,
-            metered_ns: 0,
-            unmetered_ns: 0,
-            stamp_ns: 0,
-            drawn_remainder: 0,
-            forecast_remainder: 0,
-            last_power: f32::NAN.to_bits(),
-            begun: false,
-        }
+        Self::NONE
     }
 }
 
@@ -80,19 +77,8 @@ impl Ledger {
     /// Moves the newest stamp to another clock. Time before that clock began is unmetered at once,
     /// so that none is lost.
     pub(crate) fn shift(&mut self, shift: Shift) {
-        let Self {
-            drawn_uj: _,
-            forecast_uj: _,
-            metered_ns: _,
-            unmetered_ns,
-            stamp_ns,
-            drawn_remainder: _,
-            forecast_remainder: _,
-            last_power: _,
-            begun: _,
-        } = self;
-        let before_ns = shift.instant(stamp_ns);
-        *unmetered_ns = unmetered_ns.saturating_add(before_ns);
+        let before_ns = self.shift_instants(shift);
+        self.unmetered_ns = self.unmetered_ns.saturating_add(before_ns);
     }
 
     /// Records a sample: its stamp, the reading in W if there is one, and its forecast. Time counts
@@ -243,34 +229,6 @@ fn microwatts(power_w: f32) -> i64 {
     // Exact: 24 bits times 14. So is adding the half wherever it matters, and `as` saturates.
     let exact_uw = f64::from(power_w) * 1e6;
     (exact_uw + 0.5f64.copysign(exact_uw)) as i64
-}
-
-block! {
-    /// The ledgers of a block.
-    #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    #[repr(align(32))]
-    pub(crate) struct LedgerLanes of Ledger {
-        pub drawn_uj: i64,
-        forecast_uj: i64,
-        metered_ns: u64,
-        pub unmetered_ns: u64,
-        stamp_ns: u64,
-        drawn_remainder: u32,
-        forecast_remainder: u32,
-        last_power: u32,
-        begun: bool,
-    }
-}
-
-impl LedgerLanes {
-    /// Same as [`Ledger::shift`], for all.
-    pub(crate) fn shift(&mut self, shift: Shift) {
-        for lane in 0..LANES {
-            let mut ledger = self.get(lane);
-            ledger.shift(shift);
-            self.set(lane, true, ledger);
-        }
-    }
 }
 
 #[cfg(test)]

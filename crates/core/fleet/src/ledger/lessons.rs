@@ -3,24 +3,28 @@
 use joulebus_wire::CHARGE_TENTHS;
 use serde::{Deserialize, Serialize};
 
+use crate::layout::lanes::block;
+
 /// Part of a tenth that must be charged in one go to tell the rate of the tenth.
 const MIN_PART: f64 = 0.5;
 
-/// The capacity's part that the tick does not need, the pair that has begun, and charging rates.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Lessons {
-    /// Weight of the pairs.
-    pub weight: f32,
-    /// The charge that began a pair, and what was counted then. 0: none has begun.
-    start: f32,
-    start_counted: f32,
-    /// Standard deviation of that charge. 0 if it was measured.
-    start_sd: f32,
-    /// In thousandths of the capacity an hour, by tenth of the charge. 0 if unknown.
-    pub charge_rate: [u16; CHARGE_TENTHS],
-    /// The charge from which the present tenth is charged, and for how long, s. 0: it is not.
-    tenth_from: f32,
-    tenth_s: f32,
+block! {
+    /// The capacity's part that the tick does not need, the pair that has begun, and charging rates.
+    #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+    pub(crate) struct Lessons: NONE {
+        /// Weight of the pairs.
+        pub weight: f32 = 0.0,
+        /// The charge that began a pair, and what was counted then. 0: none has begun.
+        start: f32 = 0.0,
+        start_counted: f32 = 0.0,
+        /// Standard deviation of that charge. 0 if it was measured.
+        start_sd: f32 = 0.0,
+        /// In thousandths of the capacity an hour, by tenth of the charge. 0 if unknown.
+        pub charge_rate: [u16; CHARGE_TENTHS] = [0; CHARGE_TENTHS],
+        /// The charge from which the present tenth is charged, and for how long, s. 0: it is not.
+        tenth_from: f32 = 0.0,
+        tenth_s: f32 = 0.0,
+    }
 }
 
 /// A pair of known charges.
@@ -34,7 +38,7 @@ pub(crate) struct Pair {
 impl Lessons {
     /// Those of an earlier run.
     pub(crate) fn continued(charge_rate: [u16; CHARGE_TENTHS]) -> Self {
-        Self { charge_rate, ..Self::default() }
+        Self { charge_rate, ..Self::NONE }
     }
 
     /// A pair begins with a charge, what was counted until it, and its standard deviation.

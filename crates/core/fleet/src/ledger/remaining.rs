@@ -4,24 +4,30 @@ use joulebus_energy::EnergyLeft;
 use joulebus_predictor::nan::canonical;
 use joulebus_settings::Battery;
 
-use crate::layout::lanes::{LANES, block};
+use crate::layout::lanes::block;
 use crate::ledger::counting::Size;
 
-/// Energy left of a robot. NaN if unknown.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Remaining {
-    /// True if its battery is configured.
-    pub battery: bool,
-    pub left_j: f32,
-    pub usable_j: f32,
-    pub usable_lo_j: f32,
-    pub soc: f32,
-    pub soc_lo: f32,
-    pub soc_hi: f32,
-    pub soc_sd: f32,
-    pub time_to_empty_s: f32,
-    pub time_to_empty_lo_s: f32,
-    pub time_to_empty_hi_s: f32,
+block! {
+    /// Energy left of a robot. NaN if unknown.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct Remaining: UNKNOWN;
+
+    /// Energy left of the robots of a block.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct RemainingLanes {
+        /// True if its battery is configured.
+        pub battery: bool = false,
+        pub left_j: f32 = f32::NAN,
+        pub usable_j: f32 = f32::NAN,
+        pub usable_lo_j: f32 = f32::NAN,
+        pub soc: f32 = f32::NAN,
+        pub soc_lo: f32 = f32::NAN,
+        pub soc_hi: f32 = f32::NAN,
+        pub soc_sd: f32 = f32::NAN,
+        pub time_to_empty_s: f32 = f32::NAN,
+        pub time_to_empty_lo_s: f32 = f32::NAN,
+        pub time_to_empty_hi_s: f32 = f32::NAN,
+    }
 }
 
 impl Remaining {
@@ -86,36 +92,6 @@ impl Remaining {
     }
 }
 
-block! {
-    /// Energy left of the robots of a block.
-    #[derive(Debug, Clone, Copy)]
-    pub(crate) struct RemainingLanes of Remaining {
-        pub battery: bool,
-        left_j: f32,
-        usable_j: f32,
-        usable_lo_j: f32,
-        soc: f32,
-        soc_lo: f32,
-        soc_hi: f32,
-        soc_sd: f32,
-        time_to_empty_s: f32,
-        time_to_empty_lo_s: f32,
-        time_to_empty_hi_s: f32,
-    }
-}
-
 impl RemainingLanes {
-    pub(crate) const UNKNOWN: Self = Self {
-        battery: [false; LANES],
-        left_j: [f32::NAN; LANES],
-        usable_j: [f32::NAN; LANES],
-        usable_lo_j: [f32::NAN; LANES],
-        soc: [f32::NAN; LANES],
-        soc_lo: [f32::NAN; LANES],
-        soc_hi: [f32::NAN; LANES],
-        soc_sd: [f32::NAN; LANES],
-        time_to_empty_s: [f32::NAN; LANES],
-        time_to_empty_lo_s: [f32::NAN; LANES],
-        time_to_empty_hi_s: [f32::NAN; LANES],
-    };
+    pub(crate) const UNKNOWN: Self = Self::all(&Remaining::UNKNOWN);
 }

@@ -13,16 +13,14 @@ thread_local! {
     static VERSION: Cell<u8> = const { Cell::new(u8::MAX) };
 }
 
-/// The version that gained the fields of [`read`].
-const READ: u8 = 0x0f;
-/// The version that gained those of [`read_0x10`], and the groups of [`read_errors`].
-const READ_0X10: u8 = 0x10;
-/// The version that gained those of [`read_0x11`], whose groups have the scatter of levels, and whose
-/// detectors have no cumulative sums.
-const READ_0X11: u8 = 0x11;
-
-/// The version that gained those of [`read_0x12`], and whose groups have levels.
-const READ_0X12: u8 = 0x12;
+/// The version whose robots keep the shadow forecasts that they have made.
+const MADE: u8 = 0x0f;
+/// The version whose platforms' errors have groups.
+const GROUPED: u8 = 0x10;
+/// The version whose groups have the scatter of levels, and whose detectors have no cumulative sums.
+const SCATTERED: u8 = 0x11;
+/// The version whose groups have levels.
+const LEVELLED: u8 = 0x12;
 
 /// Decodes a state of an older version.
 pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
@@ -32,48 +30,26 @@ pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
     decoded
 }
 
-/// Reads a field that versions before 0x0f lack. It is then the default of its type.
-pub(crate) fn read<'de, T, D>(from: D) -> Result<T, D::Error>
+/// Reads a field that versions before `SINCE` lack. It is then the default of its type.
+pub(crate) fn read<'de, const SINCE: u8, T, D>(from: D) -> Result<T, D::Error>
 where
     T: Deserialize<'de> + Default,
     D: Deserializer<'de>,
 {
-    if VERSION.get() < READ { Ok(T::default()) } else { T::deserialize(from) }
+    if VERSION.get() < SINCE { Ok(T::default()) } else { T::deserialize(from) }
 }
 
-/// Same as [`read`], for versions before 0x10.
-pub(crate) fn read_0x10<'de, T, D>(from: D) -> Result<T, D::Error>
+/// Reads a field after the two cumulative sums of detectors, which versions before 0x11 have.
+pub(crate) fn read_after_cusum<'de, T, D>(from: D) -> Result<T, D::Error>
 where
-    T: Deserialize<'de> + Default,
+    T: Deserialize<'de>,
     D: Deserializer<'de>,
 {
-    if VERSION.get() < READ_0X10 { Ok(T::default()) } else { T::deserialize(from) }
-}
-
-/// Same as [`read`], for versions before 0x11.
-pub(crate) fn read_0x11<'de, T, D>(from: D) -> Result<T, D::Error>
-where
-    T: Deserialize<'de> + Default,
-    D: Deserializer<'de>,
-{
-    if VERSION.get() < READ_0X11 { Ok(T::default()) } else { T::deserialize(from) }
-}
-
-/// Same as [`read`], for versions before 0x12.
-pub(crate) fn read_0x12<'de, T, D>(from: D) -> Result<T, D::Error>
-where
-    T: Deserialize<'de> + Default,
-    D: Deserializer<'de>,
-{
-    if VERSION.get() < READ_0X12 { Ok(T::default()) } else { T::deserialize(from) }
-}
-
-/// Passes over the two cumulative sums of a block of detectors, which versions before 0x11 have.
-pub(crate) fn skip_cusum<'de, D: Deserializer<'de>>(from: D) -> Result<(), D::Error> {
-    if VERSION.get() < READ_0X11 {
-        <[Lanes<f32>; 2]>::deserialize(from)?;
+    if VERSION.get() < SCATTERED {
+        <([T; 2], T)>::deserialize(from).map(|(_, noise_ratio)| noise_ratio)
+    } else {
+        T::deserialize(from)
     }
-    Ok(())
 }
 
 /// Reads what robots learn from shadow forecasts. Versions before 0x12 have a group of factors after
@@ -87,8 +63,8 @@ pub(crate) fn read_learned<'de, D: Deserializer<'de>>(
         [factor, added, mean, trust, last, own, of, outlook]
     };
     match VERSION.get() {
-        ..READ => <[Group; 8]>::deserialize(from).map(|groups| had(groups, Default::default())),
-        ..READ_0X12 => {
+        ..MADE => <[Group; 8]>::deserialize(from).map(|groups| had(groups, Default::default())),
+        ..LEVELLED => {
             <([Group; 8], [Group; 2])>::deserialize(from).map(|(groups, made)| had(groups, made))
         }
         _ => Deserialize::deserialize(from),
@@ -121,9 +97,9 @@ where
         Ok(ErrorCounts { classes, pulls, groups: shown.map(all) })
     }
     match VERSION.get() {
-        ..READ_0X10 => before::<_, _, 0>(from),
-        READ_0X10 => before::<_, _, 3>(from),
-        READ_0X11 => before::<_, _, 4>(from),
-        READ_0X12.. => ErrorCounts::deserialize(from),
+        ..GROUPED => before::<_, _, 0>(from),
+        GROUPED => before::<_, _, 3>(from),
+        SCATTERED => before::<_, _, 4>(from),
+        LEVELLED.. => ErrorCounts::deserialize(from),
     }
 }

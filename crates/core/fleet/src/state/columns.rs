@@ -261,7 +261,7 @@ impl Columns {
     /// Completes columns of a version that judged no levels: they are learned from now on.
     pub(super) fn complete_levels(&mut self) {
         if self.levels.is_empty() {
-            self.levels.resize(self.lasts.len(), LevelLanes::unknown());
+            self.levels.resize(self.lasts.len(), LevelLanes::UNKNOWN);
         }
     }
 }

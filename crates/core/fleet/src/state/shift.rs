@@ -1,9 +1,12 @@
 //! Moves a state to the monotonic clock of another host.
 //!
-//! Every struct with instants names all of its fields when it moves them. The compiler therefore
-//! demands a decision for each new field. Counts of periods, durations, sequence numbers and runs
+//! The declaration of a state says which of its numbers are instants. The compiler therefore demands
+//! a decision for each new field. Counts of periods, durations, sequence numbers and runs
 //! stay.
 
+use std::slice;
+
+use crate::layout::lanes::for_each;
 use crate::layout::shift::Shift;
 use crate::state::columns::Columns;
 use crate::state::snapshot::{Counters, FleetState};
@@ -74,19 +77,14 @@ impl Columns {
             levels: _,
         } = self;
         for admission in admissions {
-            admission.shift(shift);
+            admission.shift_instants(shift);
         }
         for block in pending {
-            block.samples.shift(shift);
+            let samples = slice::from_mut(&mut block.samples);
+            for_each(samples, |sample| _ = sample.shift_instants(shift));
         }
-        for block in lasts {
-            block.shift(shift);
-        }
-        for block in ledgers {
-            block.shift(shift);
-        }
-        for block in batteries {
-            block.shift(shift);
-        }
+        for_each(lasts, |last| _ = last.shift_instants(shift));
+        for_each(ledgers, |ledger| ledger.shift(shift));
+        for_each(batteries, |battery| _ = battery.shift_instants(shift));
     }
 }

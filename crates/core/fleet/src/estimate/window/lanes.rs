@@ -1,9 +1,9 @@
 //! Windows of a block of robots.
 
-use joulebus_predictor::{LAGS, ReadingAge};
+use joulebus_predictor::ReadingAge;
 use serde::{Deserialize, Serialize};
 
-use super::{Lags, Window};
+use super::{LagLanes, Lags, Window};
 use crate::layout::lanes::{Block, LANES, Lanes, put};
 
 /// The windows of a block.
@@ -30,41 +30,13 @@ pub(crate) struct ClosedLanes {
     reading_age: [Lanes<u8>; 2],
 }
 
-/// [`Lags`] of a block.
-#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-struct LagLanes {
-    lag_w: [Lanes<f32>; LAGS],
-    forecast_w: Lanes<f32>,
-}
-
-impl LagLanes {
-    #[inline(always)]
-    fn lags_w(&self, lane: usize) -> [f32; LAGS] {
-        let [first, second, third, fourth, fifth] = &self.lag_w;
-        [first[lane], second[lane], third[lane], fourth[lane], fifth[lane]]
-    }
-
-    #[inline(always)]
-    fn put(&mut self, lane: usize, mask: bool, lags: &Lags) {
-        put(&mut self.lag_w[0][lane], mask, lags.lag_w[0]);
-        put(&mut self.lag_w[1][lane], mask, lags.lag_w[1]);
-        put(&mut self.lag_w[2][lane], mask, lags.lag_w[2]);
-        put(&mut self.lag_w[3][lane], mask, lags.lag_w[3]);
-        put(&mut self.lag_w[4][lane], mask, lags.lag_w[4]);
-        put(&mut self.forecast_w[lane], mask, lags.forecast_w);
-    }
-}
-
 impl ClosedLanes {
     /// A window without open-loop steps.
     #[inline(always)]
     pub(crate) fn get(&self, lane: usize) -> Window {
         let [age, interval] = &self.reading_age;
         Window {
-            closed: Lags {
-                lag_w: self.closed.lags_w(lane),
-                forecast_w: self.closed.forecast_w[lane],
-            },
+            closed: self.closed.get(lane),
             open: Lags::EMPTY,
             v_mps: self.v_mps[lane],
             omega_radps: self.omega_radps[lane],
@@ -78,7 +50,7 @@ impl ClosedLanes {
 
     #[inline(always)]
     pub(crate) fn put(&mut self, lane: usize, mask: bool, robot: &Window) {
-        self.closed.put(lane, mask, &robot.closed);
+        self.closed.set(lane, mask, robot.closed);
         put(&mut self.v_mps[lane], mask, robot.v_mps);
         put(&mut self.omega_radps[lane], mask, robot.omega_radps);
         put(&mut self.open_steps[lane], mask, robot.open_steps);
@@ -96,15 +68,12 @@ impl Block for WindowLanes {
 
     #[inline(always)]
     fn get(&self, lane: usize) -> Window {
-        Window {
-            open: Lags { lag_w: self.open.lags_w(lane), forecast_w: self.open.forecast_w[lane] },
-            ..self.closed.get(lane)
-        }
+        Window { open: self.open.get(lane), ..self.closed.get(lane) }
     }
 
     #[inline(always)]
     fn set(&mut self, lane: usize, mask: bool, robot: Window) {
-        self.open.put(lane, mask, &robot.open);
+        self.open.set(lane, mask, robot.open);
         self.closed.put(lane, mask, &robot);
     }
 }

@@ -9,7 +9,7 @@ use joulebus_wire::sample_flag;
 
 use crate::estimate::energy::{EnergyLanes, EnergySamples};
 use crate::estimate::interval::IntervalLanes;
-use crate::estimate::online::{Members, OnlineLanes, RlsUpdateLanes};
+use crate::estimate::online::{Members, OnlineLanes, RlsUpdate, RlsUpdateLanes};
 use crate::estimate::window::{ClosedLanes, Gap, RequiredInputs, WindowLanes};
 use crate::ingest::last_sample::LastLanes;
 use crate::ingest::pending::{PendingBlock, PendingLanes, PendingState};
@@ -108,13 +108,13 @@ fn learn(
         (last_w[lane], due[lane]) = (window.last_w(), window.due());
         scored[lane] = mask[lane] & window.is_scored();
     }
-    let mut updates = RlsUpdateLanes::NONE;
+    let mut updates = RlsUpdateLanes::all(&RlsUpdate::NONE);
     for lane in 0..LANES {
         let [a, b, c, d, e] = &lags_w;
         let lag_w = [a[lane], b[lane], c[lane], d[lane], e[lane]];
         let mut robot = online.get(lane);
         let update = robot.update_weights(&members, &lag_w, due[lane], samples.power_w[lane]);
-        updates.set(lane, &update);
+        updates.set(lane, true, update);
         online.set_losses(lane, scored[lane], &robot);
     }
     for lane in 0..LANES {

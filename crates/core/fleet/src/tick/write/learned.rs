@@ -34,7 +34,7 @@ impl LearnedLanes {
         for lane in 0..LANES {
             let robot = online.get(lane);
             let learned = robot.learned(&robot.weights(sceptic_loss[lane]));
-            all.learned.set(lane, all.learns[lane], &learned);
+            all.learned.set(lane, all.learns[lane], learned);
         }
         all
     }
