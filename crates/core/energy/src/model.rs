@@ -105,25 +105,16 @@ impl fmt::Display for Limit {
 /// Errors of reading an energy model.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
+#[allow(missing_docs)] // The messages name the fields.
 pub enum EnergyModelError {
     /// The text cannot be read.
     #[error("the energy model cannot be read: {reason}. Train the model again with this version")]
-    Malformed {
-        /// The decoder's error.
-        reason: String,
-    },
+    Malformed { reason: String },
     /// A value is out of range.
     #[error(
         "the energy model states {what} as {found}, allowed is {allowed}. Train the model again"
     )]
-    Value {
-        /// The value.
-        what: &'static str,
-        /// The found value.
-        found: f32,
-        /// The allowed values.
-        allowed: &'static str,
-    },
+    Value { what: &'static str, found: f32, allowed: &'static str },
 }
 
 impl EnergyModel {
