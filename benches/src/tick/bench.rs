@@ -8,12 +8,11 @@ use crate::arguments::TickFleet;
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
-use joulebus_fleet::{Accounts, Batch, Fleet, Outputs};
+use joulebus_fleet::{Accounts, Batch, Fleet, OutputRows};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_publisher::Pace;
 use joulebus_settings::{FleetSettings, Platform};
-use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
 
 use crate::machine::anonymous_bytes;
 use crate::world::World;
@@ -65,11 +64,7 @@ pub(super) struct Bench {
     fleet: Fleet,
     pool: TickPool,
     batch: Batch,
-    forecasts: Vec<Forecast>,
-    diagnostics: Vec<Diagnostic>,
-    budgets: Vec<Budget>,
-    plan_states: Vec<PlanState>,
-    outlooks: Vec<Outlook>,
+    written: OutputRows,
     rounds: u64,
     before_bytes: Option<u64>,
 }
@@ -86,11 +81,6 @@ impl Bench {
         let models = vec![Model::Network(network.clone()); settings.platforms.len()];
         let rows = input::rows(network, seed, robots);
         let world = World::new(kind, &settings, robots);
-        let forecasts = vec![Forecast::default(); robots];
-        let diagnostics = vec![Diagnostic::default(); robots];
-        let budgets = vec![Budget::default(); robots];
-        let plan_states = vec![PlanState::default(); robots];
-        let outlooks = vec![Outlook::default(); robots];
         let forecasts_w = vec![0.0; robots];
         let before_bytes = anonymous_bytes();
         Ok(Self {
@@ -101,11 +91,7 @@ impl Bench {
             fleet: Fleet::new(settings, models)?,
             pool: pool(threads)?,
             batch: Batch::default(),
-            forecasts,
-            diagnostics,
-            budgets,
-            plan_states,
-            outlooks,
+            written: OutputRows::new(robots),
             rounds: 0,
             before_bytes,
         })
@@ -176,19 +162,16 @@ impl Bench {
         self.fleet.take(black_box(header), black_box(samples), now_ns);
         let taken = Instant::now();
         self.fleet.begin(now_ns, false);
-        let outputs = Outputs {
-            forecasts: &mut self.forecasts,
-            accounts: Accounts {
-                diagnostics: &mut self.diagnostics,
-                budgets: &mut self.budgets,
-                plan_states: if plans { &mut self.plan_states } else { &mut [] },
-                outlooks: if outlooks { &mut self.outlooks } else { &mut [] },
-            },
-        };
+        let mut outputs = self.written.outputs(self.fleet.len());
+        if !plans {
+            outputs.accounts.plan_states = &mut [];
+        }
+        if !outlooks {
+            outputs.accounts.outlooks = &mut [];
+        }
         self.pool.run(self.fleet.shard(), outputs);
         let done = Instant::now();
-        black_box((&self.forecasts, &self.diagnostics, &self.budgets));
-        black_box((&self.plan_states, &self.outlooks));
+        black_box(&self.written);
         self.world.advance();
         let ns = |from, to: Instant| to.duration_since(from).as_nanos() as f64;
         (ns(start, taken), ns(taken, done))
@@ -198,23 +181,23 @@ impl Bench {
     /// thread.
     fn tick_in_two(&mut self) -> [f64; 3] {
         let now_ns = self.world.now_ns();
-        let Self { fleet, batch, .. } = self;
+        let Self { fleet, batch, written, .. } = self;
         let (header, samples) = self.world.frame();
         let start = Instant::now();
         fleet.take(black_box(header), black_box(samples), now_ns);
         let taken = Instant::now();
         fleet.begin(now_ns, false);
-        fleet.shard().forecast(batch, &mut self.forecasts, &mut |_| {});
+        fleet.shard().forecast(batch, &mut written.forecasts, &mut |_| {});
         let forecast = Instant::now();
+        let robots = fleet.len();
         let accounts = Accounts {
-            diagnostics: &mut self.diagnostics,
-            budgets: &mut self.budgets,
             plan_states: &mut [],
             outlooks: &mut [],
+            ..written.outputs(robots).accounts
         };
         fleet.shard().account(batch, accounts, &mut |_| {});
         let done = Instant::now();
-        black_box((&self.forecasts, &self.diagnostics, &self.budgets));
+        black_box(&self.written);
         self.world.advance();
         let times = [(start, taken), (taken, forecast), (forecast, done)];
         times.map(|(from, to)| to.duration_since(from).as_nanos() as f64)

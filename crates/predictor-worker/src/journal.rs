@@ -4,9 +4,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, Writer, clock, process_id};
-use joulebus_wire::{SCHEMA_VERSION, Statement, TakenFrame, TickHeader, Ticks, tick_flag};
-
-use crate::outbox::LeftOut;
+use joulebus_wire::{SCHEMA_VERSION, Statement, TakenFrame, TickHeader, Ticks};
 
 /// Collects the frames that ingest takes and the statements of persons, and sends the list after each tick.
 #[derive(Debug)]
@@ -61,13 +59,12 @@ impl Journal {
     }
 
     /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next
-    /// one. `left_out` has the outputs that the tick did not write. Failures are counted in
-    /// `unsent`.
+    /// one. Failures are counted in `unsent`.
     pub(crate) fn send(
         &mut self,
         (worker_epoch, tick): (u64, u64),
         start_ns: u64,
-        (deadline_missed, left_out): (bool, LeftOut),
+        flags: u32,
         unsent: &AtomicU64,
     ) {
         let header = TickHeader {
@@ -77,10 +74,7 @@ impl Journal {
             tick,
             start_ns,
             sent_ns: clock::monotonic_ns(),
-            flags: u32::from(deadline_missed) * tick_flag::DEADLINE_MISSED
-                + u32::from(left_out.diagnostics) * tick_flag::NO_DIAGNOSTICS
-                + u32::from(!left_out.plan_states) * tick_flag::PLAN_STATES
-                + u32::from(!left_out.outlooks) * tick_flag::OUTLOOKS,
+            flags,
             unlisted: self.unlisted,
         };
         let taken = &self.taken;

@@ -1,20 +1,20 @@
 //! The worker and its loop.
 
-use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering, fence};
 use std::sync::mpsc::Receiver;
 use std::sync::{Arc, Mutex};
+use std::{io, mem};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    Background, Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, SampleReader,
-    SchedulingError, ThreadWatch, WaitError, Waiter, WorkerLock, WorkerLockError, check_capacity,
-    clock, process_id, schedule_process, set_timer_slack, touch_own_memory,
+    Background, Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, ReceiveError,
+    SampleReader, SchedulingError, ThreadWatch, WaitError, Waiter, WorkerLock, WorkerLockError,
+    check_capacity, clock, process_id, schedule_process, set_timer_slack, touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, RefusalLog, Schedule, TickIntake};
 use joulebus_settings::{Policy, SettingsError};
-use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement};
+use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement, tick_flag};
 
 use crate::checkpoint::SentErrors;
 use crate::checkpointer::{
@@ -263,8 +263,6 @@ impl Worker {
             pid: process_id(),
             worker_epoch: clock::monotonic_ns(),
             period_ns: config.tick_period_ns(),
-            model_hash: fleet.model_hash(),
-            capacity: fleet.capacity(),
             ..ForecastHeader::default()
         };
         if current_permit.holds(clock::boot_ns()) {
@@ -635,16 +633,17 @@ impl Worker {
         let intake = self.fleet.begin(start_ns, missed);
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
-        let left_out = self.outbox.left_out(self.shedding.sheds);
+        let flags = self.outbox.flags(self.shedding.sheds);
         let unsent =
-            self.outbox.tick((&mut self.fleet, &self.pool), header, left_out, &self.current_permit);
+            self.outbox.tick((&mut self.fleet, &self.pool), header, flags, &self.current_permit);
         let unsent_before = self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         if !self.current_permit.holds(clock::boot_ns()) {
             // The next turn ends it.
             return;
         }
         let place = (self.header.worker_epoch, self.header.tick);
-        self.journal.send(place, start_ns, (missed, left_out), &self.failures.unsent);
+        let flags = flags | if missed { tick_flag::DEADLINE_MISSED } else { 0 };
+        self.journal.send(place, start_ns, flags, &self.failures.unsent);
         if let Some((_, taken)) = &self.statements
             && self.failures.unsent.load(Ordering::Relaxed) == unsent_before
         {
@@ -668,20 +667,46 @@ impl Worker {
 
     /// The header of this tick's forecasts, without the fields known only when they are sent.
     fn header_of(&self, intake: TickIntake, start_ns: u64) -> ForecastHeader {
-        let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
         ForecastHeader {
-            frames_taken: intake.frames,
-            first_intended_ns,
-            first_sent_ns,
-            first_taken_ns,
-            compute_start_ns: start_ns,
+            schema: SCHEMA_VERSION,
+            pid: self.header.pid,
+            worker_epoch: self.header.worker_epoch,
+            tick: self.header.tick,
+            period_ns: self.header.period_ns,
             ticks_skipped: self.schedule.skipped,
             ticks_late: self.schedule.late,
-            samples_accepted: self.fleet.accepted(),
-            samples_dropped: self.fleet.drops(),
-            ..self.header
+            ..self.fleet.header(intake, start_ns)
         }
     }
+}
+
+/// Keeps the frames that wait.
+fn hold(
+    (samples, buffer): (&mut SampleReader, &mut Vec<Sample>),
+    following: &mut Following,
+    fleet: &mut Fleet,
+    places: &Places,
+) -> Result<(), ReceiveError> {
+    let received = loop {
+        match samples.next(fleet.capacity() as usize) {
+            Ok(Some(mut incoming)) => {
+                let taken_ns = clock::monotonic_ns();
+                let mut samples = Vec::with_capacity(incoming.len());
+                while let Some(part) = incoming.copy_part(buffer) {
+                    samples.extend_from_slice(part);
+                }
+                let header = *incoming.header();
+                let has_room = following.keep(Held { header, samples, taken_ns });
+                if !has_room {
+                    following.advance(fleet, places);
+                }
+            }
+            Ok(None) => break Ok(()),
+            Err(error) => break Err(error),
+        }
+    };
+    following.advance(fleet, places);
+    received
 }
 
 /// Ends the sources whose ports are gone.

@@ -694,17 +694,5 @@ fn take(fleet: &mut Fleet, taken: &[TakenFrame], frames: &[Option<SampleFrame>])
 fn tick(fleet: &mut Fleet, journal: &TickHeader) -> ForecastHeader {
     let missed = journal.flags & tick_flag::DEADLINE_MISSED != 0;
     let intake = fleet.tick(journal.start_ns, missed);
-    let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
-    ForecastHeader {
-        model_hash: fleet.model_hash(),
-        capacity: fleet.capacity(),
-        frames_taken: intake.frames,
-        first_intended_ns,
-        first_sent_ns,
-        first_taken_ns,
-        compute_start_ns: journal.start_ns,
-        samples_accepted: fleet.accepted(),
-        samples_dropped: fleet.drops(),
-        ..ForecastHeader::default()
-    }
+    fleet.header(intake, journal.start_ns)
 }

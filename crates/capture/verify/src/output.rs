@@ -2,11 +2,8 @@
 
 use std::fmt;
 
-use joulebus_fleet::Fleet;
-use joulebus_wire::{
-    BudgetHeader, Budgets, Channel, DiagnosticHeader, Diagnostics, ForecastHeader, Forecasts,
-    FrameHeader as _, OutlookHeader, Outlooks, PlanStateHeader, PlanStates, TICK_RULES, TickHeader,
-};
+use joulebus_fleet::{Fleet, ForEachOutput, Output as TickOutput, each_output};
+use joulebus_wire::{Channel, ForecastHeader, FrameHeader as _, TICK_RULES, TickHeader};
 
 use crate::compare::{self, FieldDifference, Value};
 use joulebus_capture_format::{Message, MessageKind};
@@ -108,57 +105,20 @@ impl Output {
 
     /// All outputs of a worker.
     pub(super) fn all() -> Vec<Self> {
-        let forecasts = Self::of::<Forecasts>(
-            &[
-                "model_hash",
-                "capacity",
-                "frames_taken",
-                "first_intended_ns",
-                "first_sent_ns",
-                "first_taken_ns",
-                "compute_start_ns",
-                "samples_accepted",
-                "samples_dropped",
-            ],
-            |tick| *tick.intake,
-            |tick, place| tick.fleet.forecast(place),
-        );
-        let diagnostics = Self::of::<Diagnostics>(
-            &["refused", "platforms"],
-            |tick| DiagnosticHeader {
-                refused: tick.fleet.refusals(),
-                platforms: tick.fleet.platform_memories(),
-                ..DiagnosticHeader::default()
-            },
-            |tick, place| tick.fleet.diagnostic(place),
-        );
-        let budgets = Self::of::<Budgets>(
-            &[],
-            |_| BudgetHeader::default(),
-            |tick, place| tick.fleet.budget(place),
-        );
-        let plan_states = Self::of::<PlanStates>(
-            &["settings_hash", "model_hash", "models", "compute_start_ns"],
-            |tick| PlanStateHeader {
-                settings_hash: tick.fleet.settings_hash(),
-                model_hash: tick.fleet.model_hash(),
-                models: tick.fleet.model_hashes(),
-                compute_start_ns: tick.journal.start_ns,
-                ..PlanStateHeader::default()
-            },
-            |tick, place| tick.fleet.plan_state(place),
-        );
-        let outlooks = Self::of::<Outlooks>(
-            &["model_hash", "compute_start_ns"],
-            |tick| OutlookHeader {
-                model_hash: tick.fleet.model_hash(),
-                compute_start_ns: tick.journal.start_ns,
-                ..OutlookHeader::default()
-            },
-            |tick, place| tick.fleet.outlook(place),
-        );
-        let all = [forecasts, diagnostics, budgets, plan_states, outlooks];
-        all.into_iter().map(|output| Self { is_ours: true, ..output }).collect()
+        struct All(Vec<Output>);
+        impl ForEachOutput for All {
+            fn output<O: TickOutput>(&mut self) {
+                let output = Output::of::<O>(
+                    O::COMPUTED,
+                    |tick| O::header(tick.fleet, tick.intake),
+                    |tick, place| O::row(tick.fleet, place),
+                );
+                self.0.push(Output { is_ours: true, ..output });
+            }
+        }
+        let mut all = All(Vec::new());
+        each_output(&mut all);
+        all.0
     }
 
     pub(super) fn compare(

@@ -21,5 +21,6 @@ pub use ledger::battery::{SavedBattery, SavedLessons, SavedPause, StatedBattery}
 pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};
 pub use tick::batch::Batch;
+pub use tick::outputs::{Accounts, ForEachOutput, Output, OutputRows, Outputs, each_output};
 pub use tick::schedule::{Next, Schedule};
-pub use tick::shard::{Accounts, Outputs, Shard, Stage};
+pub use tick::shard::{Shard, Stage};

@@ -7,7 +7,7 @@ use crate::{
     Acknowledgement, AcknowledgementHeader, Budget, BudgetHeader, Diagnostic, DiagnosticHeader,
     Forecast, ForecastHeader, MAX_ACKNOWLEDGED, MAX_RECORD_WORDS, Outlook, OutlookHeader,
     PlanState, PlanStateHeader, QueriesHeader, Row, Sample, SampleHeader, Service, StateHeader,
-    TakenFrame, TickHeader,
+    TakenFrame, TickHeader, tick_flag,
 };
 
 /// A service of shared memory through which frames go.
@@ -21,6 +21,8 @@ pub trait Channel: std::fmt::Debug + Copy + Send + Sync + 'static {
     const FLOW: Flow;
     /// The meaning of its rows.
     const ROWS: FrameRows;
+    /// The ticks that send a frame, if it is [sent in ticks](SentIn).
+    const SENT_IN: SentIn = SentIn::Every;
     /// The header of a frame.
     type Header: FrameHeader;
     /// A row of a frame.
@@ -63,6 +65,38 @@ impl Flow {
     /// True if frames are sent only while somebody reads them.
     pub const fn is_on_demand(self) -> bool {
         matches!(self, Self::Planners { on_demand: true, .. })
+    }
+}
+
+/// The ticks that send a frame, by the [`crate::tick_flag`] in their journal.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SentIn {
+    /// All.
+    Every,
+    /// Those without this flag: a tick that is short of time leaves the frame out.
+    Without(u32),
+    /// Those with this flag: the frame is sent while somebody reads it.
+    With(u32),
+}
+
+impl SentIn {
+    /// True if a tick with these flags sends the frame.
+    pub const fn is_in(self, flags: u32) -> bool {
+        match self {
+            Self::Every => true,
+            Self::Without(flag) => flags & flag == 0,
+            Self::With(flag) => flags & flag != 0,
+        }
+    }
+
+    /// The flag to set in a tick that is short of time, if it `sheds`, and whose frame somebody
+    /// reads, if it `is_read`.
+    pub const fn flag(self, sheds: bool, is_read: bool) -> u32 {
+        match self {
+            Self::Without(flag) if sheds => flag,
+            Self::With(flag) if is_read => flag,
+            Self::Every | Self::Without(_) | Self::With(_) => 0,
+        }
     }
 }
 
@@ -120,7 +154,8 @@ pub trait ForEachChannel {
 
 macro_rules! channels {
     ($($(#[doc = $doc:literal])*
-    $name:ident: $service:literal, $header:ident { $($part:tt)* }, $row:ty, $flow:expr, $rows:expr;)*) => {$(
+    $name:ident: $service:literal, $header:ident { $($part:tt)* }, $row:ty, $flow:expr, $rows:expr
+        $(, $sent_in:expr)?;)*) => {$(
         $(#[doc = $doc])*
         #[derive(Debug, Clone, Copy)]
         pub struct $name;
@@ -130,6 +165,7 @@ macro_rules! channels {
             const MESSAGE: &'static str = stringify!($name);
             const FLOW: Flow = $flow;
             const ROWS: FrameRows = $rows;
+            $(const SENT_IN: SentIn = $sent_in;)?
             type Header = $header;
             type Row = $row;
         }
@@ -199,18 +235,21 @@ channels! {
         }, Forecast, Flow::Planners { kept: 2, history: 0, on_demand: false }, FrameRows::Robots;
     /// Diagnostics, of every tick.
     Diagnostics: "diagnostics", DiagnosticHeader { order: worker_epoch, tick; },
-        Diagnostic, Flow::Planners { kept: 0, history: 0, on_demand: false }, FrameRows::Robots;
+        Diagnostic, Flow::Planners { kept: 0, history: 0, on_demand: false }, FrameRows::Robots,
+        SentIn::Without(tick_flag::NO_DIAGNOSTICS);
     /// Budgets: planners need the newest at once, and recorders read all.
     Budgets: "budgets", BudgetHeader { order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; },
         Budget, Flow::Planners { kept: 0, history: 1, on_demand: false }, FrameRows::Robots;
     /// The state that plans start from: sent while somebody reads it.
     PlanStates: "plan_states", PlanStateHeader {
             order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
-        }, PlanState, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
+        }, PlanState, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots,
+        SentIn::With(tick_flag::PLAN_STATES);
     /// The energy that robots will draw if they go on as they do: sent while somebody reads it.
     Outlooks: "outlooks", OutlookHeader {
             order: worker_epoch, tick; sent: sent_ns, sent_unix_ns; period: period_ns;
-        }, Outlook, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots;
+        }, Outlook, Flow::Planners { kept: 0, history: 1, on_demand: true }, FrameRows::Robots,
+        SentIn::With(tick_flag::OUTLOOKS);
     /// The worker's journal: a second of it is queued at 30 Hz.
     Ticks: "ticks", TickHeader { order: worker_epoch, tick; sent: sent_ns; },
         TakenFrame, Flow::Recorders { queued: 32, history: 0, views: false }, FrameRows::Taken;

@@ -29,7 +29,8 @@ pub use alarm_card::AlarmCard;
 pub use budget::{Budget, BudgetHeader, CHARGE_TENTHS, ChargeState, budget_flag};
 pub use channel::{
     Acknowledgements, Budgets, Channel, Diagnostics, Flow, ForEachChannel, Forecasts, FrameHeader,
-    FrameOrder, FrameRows, Outlooks, PlanStates, Queries, Samples, State, Ticks, each_channel,
+    FrameOrder, FrameRows, Outlooks, PlanStates, Queries, Samples, SentIn, State, Ticks,
+    each_channel,
 };
 pub use description::{Constant, Constants, constants, layouts};
 pub use diagnostic::{Alarm, AlarmSet, Diagnostic, DiagnosticHeader, Level, diagnostic_flag};

@@ -3,8 +3,7 @@
 use std::rc::Rc;
 
 use joulebus_wire::{
-    Channel, Diagnostics, Flow, ForEachChannel, FrameRows, Outlooks, PlanStates, Queries, Row,
-    TickHeader, each_channel, records, tick_flag,
+    Channel, Flow, ForEachChannel, FrameRows, Queries, Row, TickHeader, each_channel, records,
 };
 
 use super::descriptors;
@@ -66,6 +65,7 @@ impl MessageKind {
             message: C::MESSAGE,
             is_of_robot: false,
             flow: C::FLOW,
+            sent_in: C::SENT_IN,
             rows: C::ROWS,
             decode: Frame::<C>::decode,
             descriptors: descriptors::files_of::<C>,
@@ -93,16 +93,7 @@ impl MessageKind {
     /// overload, and sends some kinds only while somebody reads them.
     #[must_use]
     pub fn is_sent_in(self, journal: &TickHeader) -> bool {
-        let has = |flag| journal.flags & flag != 0;
-        if self == Self::of::<Diagnostics>() {
-            !has(tick_flag::NO_DIAGNOSTICS)
-        } else if self == Self::of::<PlanStates>() {
-            has(tick_flag::PLAN_STATES)
-        } else if self == Self::of::<Outlooks>() {
-            has(tick_flag::OUTLOOKS)
-        } else {
-            self.is_of_tick()
-        }
+        self.is_of_tick() && self.sent_in.is_in(journal.flags)
     }
 
     /// The kind of single robots' rows of a channel.

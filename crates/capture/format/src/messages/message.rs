@@ -5,7 +5,7 @@ use std::fmt::{self, Debug};
 use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
-use joulebus_wire::{Flow, FrameOrder, FrameRows};
+use joulebus_wire::{Flow, FrameOrder, FrameRows, SentIn};
 
 use super::codec::{Fault, OutOfRange};
 use super::wire_fields;
@@ -247,6 +247,7 @@ pub struct MessageKind {
     pub(super) message: &'static str,
     pub(super) is_of_robot: bool,
     pub(super) flow: Flow,
+    pub(super) sent_in: SentIn,
     pub(super) rows: FrameRows,
     pub(super) decode: fn(&[u8]) -> Result<Message, DecodeError>,
     pub(super) descriptors: fn(&str) -> Vec<u8>,

@@ -11,8 +11,8 @@ use joulebus_energy::{EnergyModel, EnergyState};
 use joulebus_predictor::Model;
 use joulebus_settings::{FleetSettings, SettingsError};
 use joulebus_wire::{
-    Budget, Diagnostic, DropCounts, Forecast, LISTED_MODELS, Outlook, PlanState, PlatformMemory,
-    Refusal, combine_hashes, platform_flag,
+    Budget, Diagnostic, DropCounts, Forecast, ForecastHeader, LISTED_MODELS, Outlook, PlanState,
+    PlatformMemory, Refusal, combine_hashes, platform_flag,
 };
 
 use crate::estimate::online::Learned;
@@ -30,8 +30,9 @@ use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
 use crate::tick::features::build_rows;
 use crate::tick::infer::infer;
+use crate::tick::outputs::Outputs;
 use crate::tick::score::Score;
-use crate::tick::shard::{Outputs, Shard};
+use crate::tick::shard::Shard;
 use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
 use crate::tick::write::flag::flag;
@@ -295,6 +296,24 @@ impl Fleet {
         let live = self.find(robot);
         let live = live.map(|slot| lanes::get(&self.columns.ledgers, slot));
         live.or_else(|| self.departed.ledger(robot).copied())
+    }
+
+    /// The header of the forecasts of a tick that has taken `intake` and begun at `start_ns`, as far
+    /// as samples and settings determine it.
+    pub fn header(&self, intake: TickIntake, start_ns: u64) -> ForecastHeader {
+        let (first_intended_ns, first_sent_ns, first_taken_ns) = intake.first.unwrap_or_default();
+        ForecastHeader {
+            model_hash: self.model_hash(),
+            capacity: self.capacity(),
+            frames_taken: intake.frames,
+            first_intended_ns,
+            first_sent_ns,
+            first_taken_ns,
+            compute_start_ns: start_ns,
+            samples_accepted: self.accepted,
+            samples_dropped: self.drops,
+            ..ForecastHeader::default()
+        }
     }
 
     /// The forecast of the robot at `place` (0 to [`Fleet::len`] − 1) in the last tick. A [`Shard`]

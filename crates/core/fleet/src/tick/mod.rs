@@ -4,6 +4,7 @@ pub(crate) mod batch;
 pub(crate) mod context;
 pub(crate) mod features;
 pub(crate) mod infer;
+pub(crate) mod outputs;
 pub(crate) mod platform_context;
 pub(crate) mod schedule;
 pub(crate) mod score;

@@ -3,7 +3,7 @@
 use std::slice;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
+use joulebus_wire::Forecast;
 
 use crate::layout::slots::words_of;
 use crate::state::columns::ColumnsMut;
@@ -11,8 +11,9 @@ use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
 use crate::tick::features::build_rows;
 use crate::tick::infer::{infer, run_overdue};
+use crate::tick::outputs::{AccountPlaces, Accounts, Outputs};
 use crate::tick::score::Score;
-use crate::tick::write::{AccountPlaces, WriteAccounts, WriteForecasts};
+use crate::tick::write::{WriteAccounts, WriteForecasts};
 
 /// The stages of a tick, for time measurements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -45,75 +46,6 @@ pub struct Shard<'a> {
     pub(crate) tick: &'a TickContext,
     pub(crate) columns: ColumnsMut<'a>,
     pub(crate) oldest_ns: &'a AtomicU64,
-}
-
-/// Output of [`Shard::run`]: slices of the shard's length, or empty ones for outputs that are left
-/// out.
-#[derive(Debug, Default)]
-pub struct Outputs<'a> {
-    /// Forecasts.
-    pub forecasts: &'a mut [Forecast],
-    /// The others.
-    pub accounts: Accounts<'a>,
-}
-
-/// Output of [`Shard::account`]: slices of the shard's length, or empty ones for outputs that are
-/// left out.
-#[derive(Debug, Default)]
-pub struct Accounts<'a> {
-    /// Diagnostics.
-    pub diagnostics: &'a mut [Diagnostic],
-    /// Budgets.
-    pub budgets: &'a mut [Budget],
-    /// Starts of plans.
-    pub plan_states: &'a mut [PlanState],
-    /// Outlooks.
-    pub outlooks: &'a mut [Outlook],
-}
-
-impl<'a> Outputs<'a> {
-    /// The first `robots` of each, and the rest. A shorter slice, which is not to be written,
-    /// belongs to the first.
-    pub fn split_at(self, robots: usize) -> (Self, Self) {
-        let (forecasts, more_forecasts) = split(self.forecasts, robots);
-        let (accounts, more_accounts) = self.accounts.split_at(robots);
-        (
-            Outputs { forecasts, accounts },
-            Outputs { forecasts: more_forecasts, accounts: more_accounts },
-        )
-    }
-}
-
-impl<'a> Accounts<'a> {
-    fn places(self) -> AccountPlaces<'a> {
-        AccountPlaces {
-            diagnostics: self.diagnostics.iter_mut(),
-            budgets: self.budgets.iter_mut(),
-            plan_states: self.plan_states.iter_mut(),
-            outlooks: self.outlooks.iter_mut(),
-        }
-    }
-
-    fn split_at(self, robots: usize) -> (Self, Self) {
-        let (diagnostics, more_diagnostics) = split(self.diagnostics, robots);
-        let (budgets, more_budgets) = split(self.budgets, robots);
-        let (plan_states, more_plan_states) = split(self.plan_states, robots);
-        let (outlooks, more_outlooks) = split(self.outlooks, robots);
-        (
-            Self { diagnostics, budgets, plan_states, outlooks },
-            Self {
-                diagnostics: more_diagnostics,
-                budgets: more_budgets,
-                plan_states: more_plan_states,
-                outlooks: more_outlooks,
-            },
-        )
-    }
-}
-
-fn split<T>(rows: &mut [T], robots: usize) -> (&mut [T], &mut [T]) {
-    let robots = robots.min(rows.len());
-    rows.split_at_mut(robots)
 }
 
 impl<'a> Shard<'a> {

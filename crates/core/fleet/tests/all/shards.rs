@@ -1,11 +1,11 @@
 //! Sharding, tiles, threads and instruction sets do not affect the outputs, and the written output
 //! equals the fleet's.
 
-use joulebus_fleet::{Accounts, Batch, Fleet, Outputs, Shard};
+use joulebus_fleet::{Batch, Fleet, OutputRows, Outputs, Shard};
 use joulebus_predictor::Kernel;
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, SLOW_NS, Source, healthy, row_bits};
-use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState, Sample, sample_flag};
+use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
 
 const START_NS: u64 = 60_000 * MS;
@@ -84,11 +84,7 @@ proptest! {
         let mut whole = new(world::models());
         let mut shared = new(world::models_on(kernel));
         let mut source = Source::new(1, 1);
-        let mut forecasts = vec![Forecast::default(); ROBOTS as usize];
-        let mut diagnostics = vec![Diagnostic::default(); ROBOTS as usize];
-        let mut budgets = vec![Budget::default(); ROBOTS as usize];
-        let mut plan_states = vec![PlanState::default(); ROBOTS as usize];
-        let mut outlooks = vec![Outlook::default(); ROBOTS as usize];
+        let mut rows = OutputRows::new(ROBOTS as usize);
         let mut lengths = (usize::MAX, 0);
         for step in 1..260 {
             let now_ns = START_NS + step * SLOW_NS;
@@ -102,28 +98,19 @@ proptest! {
             prop_assert_eq!(shared.begin(now_ns, missed), intake);
             let robots = shared.len();
             prop_assert_eq!(robots, whole.len());
-            let outputs = Outputs {
-                forecasts: &mut forecasts[..robots],
-                accounts: Accounts {
-                    diagnostics: &mut diagnostics[..robots],
-                    budgets: &mut budgets[..robots],
-                    plan_states: &mut plan_states[..robots],
-                    outlooks: &mut outlooks[..robots],
-                },
-            };
-            scatter(shared.shard(), outputs, noise.next_u64(), depth);
+            scatter(shared.shard(), rows.outputs(robots), noise.next_u64(), depth);
             for place in 0..robots {
                 let expected = row_bits(&whole.forecast(place));
-                prop_assert_eq!(&row_bits(&forecasts[place]), &expected, "step {}", step);
+                prop_assert_eq!(&row_bits(&rows.forecasts[place]), &expected, "step {}", step);
                 prop_assert_eq!(row_bits(&shared.forecast(place)), expected);
                 let expected = row_bits(&whole.diagnostic(place));
-                prop_assert_eq!(row_bits(&diagnostics[place]), expected, "step {}", step);
+                prop_assert_eq!(row_bits(&rows.diagnostics[place]), expected, "step {}", step);
                 let expected = row_bits(&whole.budget(place));
-                prop_assert_eq!(row_bits(&budgets[place]), expected, "step {}", step);
+                prop_assert_eq!(row_bits(&rows.budgets[place]), expected, "step {}", step);
                 let expected = row_bits(&whole.plan_state(place));
-                prop_assert_eq!(row_bits(&plan_states[place]), expected, "step {}", step);
+                prop_assert_eq!(row_bits(&rows.plan_states[place]), expected, "step {}", step);
                 let expected = row_bits(&whole.outlook(place));
-                prop_assert_eq!(row_bits(&outlooks[place]), expected, "step {}", step);
+                prop_assert_eq!(row_bits(&rows.outlooks[place]), expected, "step {}", step);
             }
             if step > 100 {
                 lengths = (lengths.0.min(robots), lengths.1.max(robots));

@@ -12,12 +12,13 @@ pub(crate) mod plan_states;
 use std::slice;
 
 use joulebus_predictor::simd::{SimdTask, prefetch};
-use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
+use joulebus_wire::Forecast;
 
 use crate::layout::lanes::{AHEAD, LANES};
 use crate::layout::slots;
 use crate::state::columns::ColumnsMut;
 use crate::tick::context::TickContext;
+use crate::tick::outputs::AccountPlaces;
 use crate::tick::write::budgets::Budgets;
 use crate::tick::write::diagnostics::Diagnostics;
 use crate::tick::write::forecasts::Forecasts;
@@ -60,14 +61,6 @@ pub(crate) struct WriteAccounts<'a, 'b, 'c> {
     pub tick: &'a TickContext,
     pub columns: &'a ColumnsMut<'b>,
     pub places: &'a mut AccountPlaces<'c>,
-}
-
-/// Places of the outputs of the second pass that are still to be written. None of an omitted one.
-pub(crate) struct AccountPlaces<'a> {
-    pub diagnostics: slice::IterMut<'a, Diagnostic>,
-    pub budgets: slice::IterMut<'a, Budget>,
-    pub plan_states: slice::IterMut<'a, PlanState>,
-    pub outlooks: slice::IterMut<'a, Outlook>,
 }
 
 impl SimdTask for WriteAccounts<'_, '_, '_> {
