@@ -72,8 +72,7 @@ pub struct Worker {
     turns: Arc<AtomicU64>,
     name: String,
     current_permit: Arc<CurrentPermit>,
-    /// Set for a worker that needs a permit.
-    standby: Option<Standby>,
+    phase: Phase,
     /// What persons state of robots, and how many of these a tick has taken whose budgets and journal
     /// are sent.
     statements: Option<(Receiver<(u32, Statement)>, Arc<AtomicU64>)>,
@@ -86,16 +85,58 @@ pub struct Worker {
     needed: Vec<ThreadWatch>,
 }
 
-/// State of a worker that needs a permit.
-#[derive(Debug)]
-struct Standby {
-    places: Places,
-    /// Until it serves: its view of the robots, and when it checks for a permit, monotonic ns.
-    follows: Option<(Following, u64)>,
-    /// Keeps `current_permit` up to date once there is a permit.
-    renewal: Option<Background>,
-    /// The permit was over: a later one is another process's.
-    is_over: bool,
+/// Whether a worker serves, and by what right.
+///
+/// A worker without standby serves `Alone` from its start to its end. One that stands by is
+/// `Following` its leader elsewhere until the link writes a permit for this host. It then takes the
+/// leader's newest state and the samples since, and is `Leading` while a thread reads the permit.
+/// When the permit ends, the tick reads its file once more: a late renewal counts. Else it is `Over`,
+/// and the run ends. No way leads back, because a later permit is another process's.
+#[derive(Debug, Default)]
+enum Phase {
+    #[default]
+    Alone,
+    Following {
+        places: Places,
+        following: Following,
+        /// When it checks for a permit, monotonic ns.
+        look_ns: u64,
+    },
+    Leading {
+        places: Places,
+        /// Keeps `current_permit` up to date.
+        renewal: Background,
+    },
+    Over {
+        places: Places,
+        renewal: Background,
+    },
+}
+
+impl Phase {
+    /// The phase after the end of the permit.
+    fn over(self) -> Self {
+        match self {
+            Self::Leading { places, renewal } => Self::Over { places, renewal },
+            other => other,
+        }
+    }
+
+    const fn places(&self) -> Option<&Places> {
+        match self {
+            Self::Alone => None,
+            Self::Following { places, .. }
+            | Self::Leading { places, .. }
+            | Self::Over { places, .. } => Some(places),
+        }
+    }
+
+    const fn renewal(&self) -> Option<&Background> {
+        match self {
+            Self::Alone | Self::Following { .. } => None,
+            Self::Leading { renewal, .. } | Self::Over { renewal, .. } => Some(renewal),
+        }
+    }
 }
 
 /// Errors of starting a worker.
@@ -192,8 +233,7 @@ impl Worker {
         {
             let _ = Permit::withdraw(&places.permit);
         }
-        worker.standby =
-            Some(Standby { places, follows: Some((following, 0)), renewal: None, is_over: false });
+        worker.phase = Phase::Following { places, following, look_ns: 0 };
         Ok(worker)
     }
 
@@ -295,7 +335,7 @@ impl Worker {
             errors,
             header,
             current_permit,
-            standby: None,
+            phase: Phase::Alone,
             statements: None,
             uncounted: 0,
             stated_batteries,
@@ -324,93 +364,64 @@ impl Worker {
     /// # Errors
     /// Those of [`Worker::stand_by`].
     pub fn stand_by_once(&mut self) -> Result<bool, RunError> {
-        let Some(standby) = &mut self.standby else {
+        if !matches!(self.phase, Phase::Following { .. }) {
             return Ok(true);
-        };
-        let Some((mut following, look_ns)) = standby.follows.take() else {
-            return Ok(true);
-        };
-        let places = standby.places.clone();
+        }
         self.turns.fetch_add(1, Ordering::Relaxed);
         self.bus.check()?;
         if let Some(name) = self.ended_thread() {
             return Err(RunError::Thread { name });
         }
-        self.hold(&mut following, &places);
+        let Phase::Following { places, following, look_ns } = &mut self.phase else {
+            return Ok(true);
+        };
+        let incoming = (&mut self.samples, &mut self.part);
+        if hold(incoming, following, &mut self.fleet, places).is_err() {
+            self.failures.receive.fetch_add(1, Ordering::Relaxed);
+        }
         let now_ns = clock::monotonic_ns();
-        let mut until_ns = look_ns;
-        if now_ns >= look_ns {
-            until_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
+        if now_ns >= *look_ns {
+            *look_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
             if let Some(permit) = Permit::read(&places.permit)? {
                 // This worker hung while its host led: the link gives no permit to this process.
                 if !permit.holds(clock::boot_ns()) {
                     return Err(PermitOver { term: permit.term }.into());
                 }
-                self.take_over(&permit, &places, following)?;
+                self.take_over(&permit)?;
                 return Ok(true);
             }
         }
-        if let Some(standby) = &mut self.standby {
-            standby.follows = Some((following, until_ns));
-        }
+        let until_ns = *look_ns;
         self.waiter.wait_until(Some(until_ns), None)?;
         Ok(false)
-    }
-
-    /// Keeps the frames that wait.
-    fn hold(&mut self, following: &mut Following, places: &Places) {
-        loop {
-            match self.samples.next(self.fleet.capacity() as usize) {
-                Ok(Some(mut incoming)) => {
-                    let taken_ns = clock::monotonic_ns();
-                    let mut samples = Vec::with_capacity(incoming.len());
-                    while let Some(part) = incoming.copy_part(&mut self.part) {
-                        samples.extend_from_slice(part);
-                    }
-                    let header = *incoming.header();
-                    let has_room = following.keep(Held { header, samples, taken_ns });
-                    if !has_room {
-                        following.advance(&mut self.fleet, places);
-                    }
-                }
-                Ok(None) => break,
-                Err(_) => {
-                    self.failures.receive.fetch_add(1, Ordering::Relaxed);
-                    break;
-                }
-            }
-        }
-        following.advance(&mut self.fleet, places);
     }
 
     /// Leaves the last state of a worker that has served with a permit to the next one on this
     /// host, which may be itself: as after a lease that ran out because the store was away.
     fn leave_state(&self) {
         let term = self.current_permit.term();
-        if let Some(standby) = &self.standby
+        if let Some(places) = self.phase.places()
             && term > 0
         {
             let mut bytes = Vec::new();
             self.fleet.state().encode_into(&mut bytes);
             let of = (term, clock::monotonic_ns(), 0);
-            if let Err(error) = SavedState::write(&standby.places.keyframe, of, &bytes) {
+            if let Err(error) = SavedState::write(&places.keyframe, of, &bytes) {
                 tracing::warn!("the next worker begins with an older state: {error}");
             }
         }
     }
 
-    fn take_over(
-        &mut self,
-        permit: &Permit,
-        places: &Places,
-        following: Following,
-    ) -> Result<(), RunError> {
+    /// Continues where the leader ended.
+    fn take_over(&mut self, permit: &Permit) -> Result<(), RunError> {
+        let Phase::Following { places, following, .. } = &mut self.phase else {
+            return Ok(());
+        };
         let (restored, replayed) = following.take_over(&mut self.fleet, places, &self.turns);
+        let places = places.clone();
         let current_permit = Arc::clone(&self.current_permit);
         let renewal = watch::start(places.permit.clone(), current_permit, permit);
-        if let Some(standby) = &mut self.standby {
-            standby.renewal = Some(renewal.map_err(RunError::Renewal)?);
-        }
+        self.phase = Phase::Leading { places, renewal: renewal.map_err(RunError::Renewal)? };
         let now_ns = clock::monotonic_ns();
         self.header.worker_epoch = now_ns;
         self.schedule = Schedule::new(self.policy, self.header.period_ns, now_ns);
@@ -517,20 +528,21 @@ impl Worker {
     /// Reads the permit once more before the run ends: the link may have renewed it while this
     /// process had no processor.
     fn is_renewed(&mut self) -> bool {
-        let Some(standby) = self.standby.as_mut().filter(|standby| !standby.is_over) else {
+        let Phase::Leading { places, .. } = &self.phase else {
             return false;
         };
-        let permit = Permit::read(&standby.places.permit);
+        let permit = Permit::read(&places.permit);
         let is_renewed = permit.is_ok_and(|permit| self.current_permit.read_again(permit.as_ref()));
-        standby.is_over = !is_renewed;
+        if !is_renewed {
+            self.phase = mem::take(&mut self.phase).over();
+        }
         is_renewed
     }
 
     /// A thread without which the run must not go on, and which has ended. Neither allocates nor
     /// locks unless there is one.
     fn ended_thread(&self) -> Option<String> {
-        let renewal = self.standby.as_ref().and_then(|standby| standby.renewal.as_ref());
-        let own = [(Some(&self.checkpointer), CHECKPOINTER), (renewal, watch::THREAD)];
+        let own = [(Some(&self.checkpointer), CHECKPOINTER), (self.phase.renewal(), watch::THREAD)];
         let own = own.iter().find(|(thread, _)| thread.is_some_and(Background::has_ended));
         let needed = || self.needed.iter().find(|thread| thread.has_ended()).map(ThreadWatch::name);
         let ended = own.map(|(_, name)| *name).or_else(|| self.bus.ended_thread()).or_else(needed);
@@ -569,7 +581,14 @@ impl Worker {
     }
 
     /// Receives all waiting frames: a bounded drain would starve the last sources. The buffers
-    /// bound the work. Sources whose ports were gone before have sent nothing since: they end.
+    /// bound the work.
+    ///
+    /// 1. Look which sources have no port any more. They have sent nothing since.
+    /// 2. Take each frame. The first frame of a source after that look may be the successor of one
+    ///    whose port is gone: end the gone ones before it.
+    /// 3. Note the frame in the journal before the fleet checks it, so that replays see it too.
+    /// 4. Check the frame, then its samples part by part, while they are in the core's cache.
+    /// 5. When no frame waits, end the gone sources. After an error they end with the next drain.
     fn drain(&mut self) {
         self.source_ports.look(clock::monotonic_ns());
         loop {
@@ -734,6 +753,15 @@ mod tests {
         }
     }
 
+    /// Work without end.
+    struct Idles;
+
+    impl Steps for Idles {
+        fn step(&mut self, last: bool) -> Option<Duration> {
+            (!last).then_some(Duration::from_millis(50))
+        }
+    }
+
     const PANICS: &str = "joulebus-panics";
 
     fn panicking() -> Background {
@@ -760,13 +788,14 @@ mod tests {
         // The thread that reads the permit has not had a processor since the first one.
         worker.current_permit = Arc::new(CurrentPermit::not_yet());
         worker.current_permit.begin(&Permit { term: 4, until_ns: 1, lease: 9 });
-        worker.standby =
-            Some(Standby { places: places.clone(), follows: None, renewal: None, is_over: false });
+        let renewal = || Background::start("idle", || Ok::<_, io::Error>(Idles)).unwrap();
+        let leading = || Phase::Leading { places: places.clone(), renewal: renewal() };
+        worker.phase = leading();
         let renewed = |term, until_ns| Permit { term, until_ns, lease: 9 };
         renewed(4, u64::MAX - 1).write(&places.permit).unwrap();
         assert!(worker.poll().is_ok());
         for permit in [Some(renewed(4, 2)), Some(renewed(5, u64::MAX - 1)), None] {
-            worker.standby.as_mut().unwrap().is_over = false;
+            worker.phase = leading();
             match permit {
                 Some(permit) => permit.write(&places.permit).unwrap(),
                 None => Permit::withdraw(&places.permit).unwrap(),
@@ -857,12 +886,7 @@ mod tests {
         let replace: [(&str, Replace); 3] = [
             (CHECKPOINTER, |worker, _| worker.checkpointer = panicking()),
             (watch::THREAD, |worker, config| {
-                worker.standby = Some(Standby {
-                    places: Places::new(config),
-                    follows: None,
-                    renewal: Some(panicking()),
-                    is_over: false,
-                });
+                worker.phase = Phase::Leading { places: Places::new(config), renewal: panicking() };
             }),
             (PANICS, |worker, _| {
                 let thread = panicking();

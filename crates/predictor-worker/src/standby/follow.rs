@@ -4,6 +4,13 @@
 //! states stop, as from a dead host whose lease runs on, or while the store is away, the fleet is
 //! restored from the last state. It then takes the frames as they become old, as if it led. The
 //! memory is bounded, and the wait is not.
+//!
+//! 1. [`Following::keep`] puts each frame into the backlog.
+//! 2. [`Following::advance`] looks for a newer state once a second. It drops frames that are old
+//!    enough for that state to contain them.
+//! 3. Old frames that no state contains: the fleet is restored once, and takes them.
+//! 4. [`Following::take_over`] restores the newest state if the fleet is not from it already, and
+//!    takes the whole backlog. Frames that the state contains are passed over.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -85,7 +92,7 @@ impl Following {
     /// frame in `turns`: of a large fleet it takes seconds, in which a watchdog is to see that the
     /// worker works.
     pub(crate) fn take_over(
-        mut self,
+        &mut self,
         fleet: &mut Fleet,
         places: &Places,
         turns: &AtomicU64,
