@@ -1,10 +1,12 @@
 //! Compares the fleet with the oracle, bit for bit.
 
 use joulebus_energy::EnergyState;
-use joulebus_fleet::Fleet;
+use joulebus_fleet::{Fleet, ForEachOutput, Output, each_output};
 use joulebus_predictor::Model;
 use joulebus_testkit_fleets as world;
-use joulebus_wire::{OUTLOOK_S, Quality, diagnostic_flag, outlook_flag, plan_state_flag};
+use joulebus_wire::{
+    FieldType, OUTLOOK_S, Quality, Row as _, diagnostic_flag, outlook_flag, plan_state_flag,
+};
 use proptest::prelude::*;
 
 use super::intake::{Member, Oracle};
@@ -35,65 +37,41 @@ pub(crate) fn compare(fleet: &Fleet, oracle: &Oracle, now_ns: u64) -> Result<(),
     Ok(())
 }
 
+/// Names the numbers of a robot's rows that are NaN with other bits than on other machines.
+struct OtherNans<'a> {
+    fleet: &'a Fleet,
+    place: usize,
+    found: Vec<&'static str>,
+}
+
+impl ForEachOutput for OtherNans<'_> {
+    fn output<O: Output>(&mut self) {
+        let words = world::row_bits(&O::row(self.fleet, self.place));
+        let bytes: Vec<u8> = words.into_iter().flat_map(u64::to_ne_bytes).collect();
+        for field in O::Row::LAYOUT.fields {
+            let numbers = &bytes[field.offset..][..field.size];
+            let is_canonical = match field.of {
+                FieldType::F32 => numbers.as_chunks().0.iter().all(|number| {
+                    let number = f32::from_ne_bytes(*number);
+                    !number.is_nan() || number.to_bits() == f32::NAN.to_bits()
+                }),
+                FieldType::F64 => numbers.as_chunks().0.iter().all(|number| {
+                    let number = f64::from_ne_bytes(*number);
+                    !number.is_nan() || number.to_bits() == f64::NAN.to_bits()
+                }),
+                _ => true,
+            };
+            self.found.extend((!is_canonical).then_some(field.name));
+        }
+    }
+}
+
 /// Whatever is not a number leaves with the same bits on every machine.
 fn one_nan(fleet: &Fleet, id: u32) -> Result<(), TestCaseError> {
-    let (forecast, diagnostic) = (world::forecast(fleet, id), world::diagnostic(fleet, id));
-    let budget = world::budget(fleet, id);
-    let plan_state = world::plan_state(fleet, id);
-    let outlook = world::outlook(fleet, id);
-    let singles = [
-        forecast.reading_w,
-        forecast.power_w,
-        forecast.lo_w,
-        forecast.hi_w,
-        diagnostic.residual_w,
-        diagnostic.residual_z,
-        diagnostic.bias_w,
-        diagnostic.noise_ratio,
-        diagnostic.coverage,
-        diagnostic.coverage_recent,
-        diagnostic.network_w,
-        diagnostic.level_w,
-        budget.mean_power_w,
-        budget.left_j,
-        budget.usable_j,
-        budget.usable_lo_j,
-        budget.soc,
-        budget.soc_lo,
-        budget.time_to_empty_s,
-        budget.time_to_empty_lo_s,
-        budget.time_to_empty_hi_s,
-        plan_state.lag1_w,
-        plan_state.lag5_w,
-        plan_state.v_mps,
-        plan_state.omega_radps,
-        plan_state.network_w,
-        plan_state.level_w,
-        plan_state.size_due_w,
-        plan_state.above_held,
-        plan_state.energy_j[0],
-        plan_state.command_j[3],
-        plan_state.time_s[1],
-        plan_state.error_lower[2],
-        plan_state.error_upper[0],
-        plan_state.command_trust,
-        outlook.mean_w,
-        outlook.time_to_empty_hi_s,
-    ];
-    let outlooks = [outlook.energy_j, outlook.energy_lo_j, outlook.energy_hi_j].concat();
-    for value in singles.into_iter().chain(outlooks).filter(|value| value.is_nan()) {
-        prop_assert_eq!(value.to_bits(), f32::NAN.to_bits(), "robot {}", id);
-    }
-    let doubles = [
-        diagnostic.mae_w,
-        diagnostic.r2,
-        diagnostic.persistence_mae_w,
-        diagnostic.persistence_r2,
-        diagnostic.skill,
-    ];
-    for value in doubles.into_iter().filter(|value| value.is_nan()) {
-        prop_assert_eq!(value.to_bits(), f64::NAN.to_bits(), "robot {}", id);
-    }
+    let place = world::place(fleet, id).expect("it is in the fleet");
+    let mut others = OtherNans { fleet, place, found: Vec::new() };
+    each_output(&mut others);
+    prop_assert!(others.found.is_empty(), "robot {}: {:?}", id, others.found);
     Ok(())
 }
 
