@@ -4,7 +4,7 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
-use joulebus_predictor::{INPUTS, LAGS};
+use joulebus_predictor::LAGS;
 use joulebus_wire::sample_flag;
 
 use crate::estimate::energy::{EnergyLanes, EnergySamples};
@@ -16,7 +16,7 @@ use crate::ingest::pending::{PendingBlock, PendingLanes, PendingState};
 use crate::layout::lanes::{Block as _, LANES, Lanes, put};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
-use crate::tick::features::step::{Step, quality, read, seconds};
+use crate::tick::features::step::{Step, StepLanes, quality, read, seconds};
 use crate::tick::platform_context::PlatformContext;
 
 /// Samples that follow the last ones of their robots without a gap, with readings.
@@ -68,7 +68,7 @@ pub(crate) fn step_block(
         }
     }
     read_lasts(lasts, &samples, mask, &elapsed_s, &network_w);
-    let mut steps = StepLanes::NONE;
+    let mut steps = StepLanes::all(&Step::NONE);
     read_windows(context.required, &mut windows.closed, &samples, mask, &elapsed_s, &mut steps);
     qualify(context.required, lasts, &samples, mask, windows, &steps);
     store_expected(&mut columns.pending[block], mask, &steps);
@@ -83,7 +83,7 @@ pub(crate) fn step_block(
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
         columns.admissions[first + lane].accept(&samples.get(lane));
     }
-    batch.push_block(first, &steps.ready, &steps.rows);
+    batch.push_block(first, &steps.ready, &steps.row);
 }
 
 /// Learns the readings of a block, before they become part of the windows.
@@ -197,7 +197,8 @@ fn read_windows(
         let forecast_w = (window.close(Gap::None), true);
         let step = read(required, &mut window, &samples.get(lane), forecast_w, elapsed_s[lane]);
         copy.put(lane, mask[lane], &window);
-        steps.set(lane, mask[lane], &step);
+        let expected_w = if mask[lane] { step.expected_w } else { f32::NAN };
+        steps.set(lane, true, Step { expected_w, ready: mask[lane] & step.ready, ..step });
     }
     *windows = copy;
 }
@@ -241,37 +242,6 @@ fn adapt_intervals(
         let mut interval = intervals.get(lane);
         let residual_w = samples.power_w[lane] - steps.expected_w[lane];
         interval.observe(residual_w, steps.due[lane], floor_w, quantile_step);
-        intervals.set(lane, steps.scored[lane], interval);
-    }
-}
-
-/// [`Step`]s of a block.
-struct StepLanes {
-    expected_w: Lanes<f32>,
-    /// True if there was such a forecast.
-    scored: Lanes<bool>,
-    due: Lanes<bool>,
-    ready: Lanes<bool>,
-    rows: [Lanes<f32>; INPUTS],
-}
-
-impl StepLanes {
-    const NONE: Self = Self {
-        expected_w: [f32::NAN; LANES],
-        scored: [false; LANES],
-        due: [false; LANES],
-        ready: [false; LANES],
-        rows: [[0.0; LANES]; INPUTS],
-    };
-
-    #[inline(always)]
-    fn set(&mut self, lane: usize, mask: bool, step: &Step) {
-        self.expected_w[lane] = step.expected_w;
-        self.scored[lane] = mask & !step.expected_w.is_nan();
-        self.due[lane] = step.due;
-        self.ready[lane] = mask & step.ready;
-        for feature in 0..INPUTS {
-            self.rows[feature][lane] = step.row[feature];
-        }
+        intervals.set(lane, !steps.expected_w[lane].is_nan(), interval);
     }
 }

@@ -1,12 +1,12 @@
 //! One sample of one robot.
 
 use joulebus_energy::EnergySample;
-use joulebus_predictor::{Features, LAGS, ReadingAge};
+use joulebus_predictor::{INPUTS, LAGS, ReadingAge};
 use joulebus_wire::{InvalidReason, Quality, sample_flag};
 
 use crate::estimate::window::{Gap, RequiredInputs, Window};
 use crate::ingest::pending::{Pending, PendingState};
-use crate::layout::lanes::{Block as _, LANES};
+use crate::layout::lanes::{Block as _, LANES, block};
 use crate::state::columns::ColumnsMut;
 use crate::tick::batch::Batch;
 use crate::tick::platform_context::PlatformContext;
@@ -140,15 +140,22 @@ fn quality_unread(
     }
 }
 
-/// The result of one sample.
-pub(crate) struct Step {
-    /// The one-step-ahead forecast of its reading, W. NaN if there was none.
-    pub expected_w: f32,
-    /// True if a new measurement was due with it.
-    pub due: bool,
-    /// Row of the next forecast, if it is `ready`.
-    pub row: Features,
-    pub ready: bool,
+block! {
+    /// The result of one sample.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Step: NONE;
+
+    /// [`Step`]s of a block.
+    #[derive(Clone, Copy)]
+    pub(crate) struct StepLanes {
+        /// The one-step-ahead forecast of its reading, W. NaN if there was none.
+        pub expected_w: f32 = f32::NAN,
+        /// True if a new measurement was due with it.
+        pub due: bool = false,
+        /// Row of the next forecast, if it is `ready`.
+        pub row: [f32; INPUTS] = [0.0; INPUTS],
+        pub ready: bool = false,
+    }
 }
 
 /// Takes a sample with a reading, `elapsed_s` after the previous one. `forecast_w` is its forecast,
