@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::Duration;
 
-use joulebus_bus::{Background, Bus, Domain, JoinError, OpenError, Reader, Steps, clock};
+use joulebus_bus::{Background, Bus, Domain, Reader, Steps, clock};
 use joulebus_config::Config;
 use joulebus_connect::standby::Places;
 use joulebus_fleet::StatedBattery;
@@ -18,6 +18,7 @@ use crate::keyframes::{KeyframeOrders, KeyframeSender};
 use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
 use crate::state_directory::checkpoint_path;
+use crate::worker::OpenError;
 
 pub(crate) const THREAD: &str = "joulebus-checkpointer";
 /// Stated batteries that wait for the checkpointer, at most.
@@ -30,21 +31,6 @@ const POLL_EVERY_NS: u64 = PERIOD_NS / 10;
 const LOG_EVERY_NS: u64 = 5 * PERIOD_NS;
 /// Accounts in the ledger per robot of the fleet's capacity: as many again for departed robots.
 const ACCOUNTS_PER_ROBOT: usize = 2;
-
-/// Errors of starting the checkpointer.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum CheckpointerError {
-    /// The domain cannot be joined.
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    /// A port could not be opened.
-    #[error(transparent)]
-    Open(#[from] OpenError),
-    /// The thread could not be started, or the boot id is unknown.
-    #[error("the worker's checkpointer cannot start: {0}")]
-    Start(#[from] std::io::Error),
-}
 
 /// Batteries that persons have stated of robots without a budget, on their way to the ledger.
 #[derive(Debug)]
@@ -91,7 +77,7 @@ pub(crate) fn start(
     before: SavedLedger,
     (failures, errors): (Arc<Failures>, Arc<SentErrors>),
     (orders, stated): (KeyframeOrders, (Receiver<StatedBattery>, Arc<AtomicU64>)),
-) -> Result<Background, CheckpointerError> {
+) -> Result<Background, OpenError> {
     let (domain, config) = (domain.clone(), config.clone());
     Background::start(THREAD, move || {
         Checkpointer::open(&domain, &config, before, (failures, errors), (orders, stated))
@@ -134,7 +120,7 @@ impl Checkpointer {
         SavedLedger { checkpoint, files }: SavedLedger,
         (failures, errors): (Arc<Failures>, Arc<SentErrors>),
         (orders, stated): (KeyframeOrders, (Receiver<StatedBattery>, Arc<AtomicU64>)),
-    ) -> Result<Self, CheckpointerError> {
+    ) -> Result<Self, OpenError> {
         let bus = Bus::join(domain, "checkpointer")?;
         let limits = config.limits();
         let every_ns = files.as_ref().map(|_| config.checkpoint_every_ns());

@@ -18,7 +18,6 @@ mod tick_pool;
 mod worker;
 
 pub use checkpoint::LearnedCapacity;
-pub use checkpointer::CheckpointerError;
 pub use joulebus_fleet::{RefusalLog, RefusedSamples};
 pub use ledger_files::{LedgerFileError, learned_capacities};
 pub use report::{Parts, Report};

@@ -17,9 +17,7 @@ use joulebus_settings::{Policy, SettingsError};
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement, tick_flag};
 
 use crate::checkpoint::SentErrors;
-use crate::checkpointer::{
-    self, CheckpointerError, Failures, StatedBatteries, THREAD as CHECKPOINTER, read_ledger,
-};
+use crate::checkpointer::{self, Failures, StatedBatteries, THREAD as CHECKPOINTER, read_ledger};
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
 use crate::ledger_files::LedgerFileError;
@@ -167,9 +165,9 @@ pub enum OpenError {
     /// A port could not be opened.
     #[error(transparent)]
     Port(#[from] joulebus_bus::OpenError),
-    /// The checkpointer could not be started.
-    #[error(transparent)]
-    Checkpointer(#[from] CheckpointerError),
+    /// The checkpointer's thread could not be started, or the boot id is unknown.
+    #[error("the worker's checkpointer cannot start: {0}")]
+    Checkpointer(#[from] io::Error),
     /// The system refused scheduling that the config requires.
     #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
     Scheduling(#[from] SchedulingError),

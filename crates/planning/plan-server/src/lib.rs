@@ -2,7 +2,6 @@
 #![forbid(unsafe_code)]
 
 mod acknowledgements;
-mod error;
 mod fair;
 mod job;
 mod records;
@@ -23,7 +22,7 @@ use joulebus_wire::QueryCounts;
 use serde::Serialize;
 
 use acknowledgements::Table;
-use server::Server;
+use server::{Server, ServerError};
 pub use statements::Statements;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.
@@ -81,10 +80,7 @@ impl PlanServer {
     ///
     /// # Errors
     /// [`StartError`].
-    pub fn start(
-        config: &Config,
-        statements: Option<Statements>,
-    ) -> Result<Self, StartError> {
+    pub fn start(config: &Config, statements: Option<Statements>) -> Result<Self, StartError> {
         let shared = Arc::new(Shared::default());
         let thread = if config.queries().answer {
             let models = Fleet::new(config.settings(), &load_models(config)?);
@@ -191,7 +187,7 @@ impl Answering {
     }
 
     /// Logs an error that persists. The port of a killed worker stays until it is cleaned up.
-    fn failed(&mut self, error: &error::ServerError) {
+    fn failed(&mut self, error: &ServerError) {
         self.failures += 1;
         if self.failures.is_multiple_of(LOG_AFTER) {
             tracing::warn!(%error, "questions about plans are not answered at present");
