@@ -8,7 +8,7 @@ use crate::arguments::TickFleet;
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
-use joulebus_fleet::{Accounts, Batch, Fleet, OutputRows};
+use joulebus_fleet::{Batch, Fleet, OutputRows, SecondaryOutputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_publisher::Pace;
@@ -164,10 +164,10 @@ impl Bench {
         self.fleet.begin(now_ns, false);
         let mut outputs = self.written.outputs(self.fleet.len());
         if !plans {
-            outputs.accounts.plan_states = &mut [];
+            outputs.secondary.plan_states = &mut [];
         }
         if !outlooks {
-            outputs.accounts.outlooks = &mut [];
+            outputs.secondary.outlooks = &mut [];
         }
         self.pool.run(self.fleet.shard(), outputs);
         let done = Instant::now();
@@ -190,12 +190,12 @@ impl Bench {
         fleet.shard().forecast(batch, &mut written.forecasts, &mut |_| {});
         let forecast = Instant::now();
         let robots = fleet.len();
-        let accounts = Accounts {
+        let secondary = SecondaryOutputs {
             plan_states: &mut [],
             outlooks: &mut [],
-            ..written.outputs(robots).accounts
+            ..written.outputs(robots).secondary
         };
-        fleet.shard().account(batch, accounts, &mut |_| {});
+        fleet.shard().account(batch, secondary, &mut |_| {});
         let done = Instant::now();
         black_box(&self.written);
         self.world.advance();

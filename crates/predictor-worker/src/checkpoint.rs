@@ -30,7 +30,7 @@ pub(crate) struct Checkpoint {
     /// When it was written, Unix ns.
     pub written_unix_ns: u64,
     /// Accounts by robot id.
-    pub robots: BTreeMap<u32, Account>,
+    pub robots: BTreeMap<u32, SavedAccount>,
     /// The last 16 bits of the ids of robots whose account was given up for another. If one of
     /// these robots joins without an account, its battery is unknown.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
@@ -111,7 +111,7 @@ impl SentErrors {
 /// One robot's account. Fields as in [`joulebus_wire::Budget`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(crate) struct Account {
+pub(crate) struct SavedAccount {
     pub drawn_uj: i64,
     drawn_remainder: i64,
     forecast_uj: i64,
@@ -134,7 +134,7 @@ pub(crate) struct Account {
     pub lessons: Option<SavedLessons>,
 }
 
-impl Account {
+impl SavedAccount {
     /// Sets the battery, with its parts apart.
     fn set_battery(&mut self, battery: SavedBattery) {
         let (pause, lessons) = (battery.pause(), battery.lessons());
@@ -160,7 +160,7 @@ impl Account {
 
 /// One robot's account as the fleet takes it.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct Restored {
+pub(crate) struct RestoredAccount {
     pub robot: u32,
     pub ledger: Ledger,
     /// True if it has been on its charger.
@@ -209,7 +209,7 @@ impl Checkpoint {
             let silent_ns = silent_ns.saturating_sub(period_ns(budget.robot).unwrap_or(0));
             // A person's statement ends the pause.
             let silent = silent.filter(|known| !known.is_stated(budget, silent_ns));
-            let mut account = Account {
+            let mut account = SavedAccount {
                 drawn_uj: budget.drawn_uj,
                 drawn_remainder: budget.drawn_remainder,
                 forecast_uj: budget.forecast_uj,
@@ -299,7 +299,7 @@ impl Checkpoint {
 
     /// Orders accounts by age. A false stamp, far in the future, must not keep its robot's account
     /// ahead of all others.
-    const fn age(&self, account: &Account) -> Age {
+    const fn age(&self, account: &SavedAccount) -> Age {
         let latest_ns = self.written_ns.saturating_add(MAX_AHEAD_NS);
         (account.stamp_ns <= latest_ns, account.stamp_ns)
     }
@@ -346,10 +346,10 @@ impl Checkpoint {
 
     /// The accounts as ledgers, the robot that was silent longest first. Accounts with false stamps
     /// come before it.
-    pub(crate) fn ledgers(&self) -> Vec<Restored> {
-        let mut robots: Vec<(&u32, &Account)> = self.robots.iter().collect();
+    pub(crate) fn ledgers(&self) -> Vec<RestoredAccount> {
+        let mut robots: Vec<(&u32, &SavedAccount)> = self.robots.iter().collect();
         robots.sort_by_key(|(_, account)| self.age(account));
-        let ledger = |(robot, account): (&u32, &Account)| {
+        let ledger = |(robot, account): (&u32, &SavedAccount)| {
             let drawn = (account.drawn_uj, account.drawn_remainder);
             let (metered_ns, unmetered_ns) = (account.metered_ns, account.unmetered_ns);
             let ledger = Ledger::restored(
@@ -364,7 +364,7 @@ impl Checkpoint {
             let whole = |battery: SavedBattery| battery.with_mean_power_w(mean_power_w);
             let lessons = account.lessons.unwrap_or_default();
             let battery = account.battery.map(|battery| whole(battery).with_pause(pause, lessons));
-            Restored { robot: *robot, ledger, charged: account.charged, battery }
+            RestoredAccount { robot: *robot, ledger, charged: account.charged, battery }
         };
         robots.into_iter().map(ledger).collect()
     }

@@ -16,7 +16,7 @@ use joulebus_wire::fnv1a;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-use crate::checkpoint::{Account, Checkpoint, LearnedCapacity};
+use crate::checkpoint::{Checkpoint, LearnedCapacity, SavedAccount};
 use crate::state_directory;
 
 /// Version of files whose ledger has neither lost accounts nor errors of the energy.
@@ -326,7 +326,7 @@ fn checksum(schema: u32, generation: u64, ledger: &[u8]) -> String {
 }
 
 fn encode(generation: u64, ledger: &Checkpoint) -> Result<Vec<u8>, serde_json::Error> {
-    let any = |has: fn(&Account) -> bool| ledger.robots.values().any(has);
+    let any = |has: fn(&SavedAccount) -> bool| ledger.robots.values().any(has);
     let schema = if any(|account| account.lessons.is_some())
         || !ledger.capacities.is_empty()
         || !ledger.errors.is_empty()

@@ -1,7 +1,7 @@
 //! Output of a tick, computed directly into loaned shared memory.
 
 use joulebus_bus::{Bus, Limits, Loan, OpenError, SendError, Waker, Writer, clock};
-use joulebus_fleet::{Accounts, Fleet, Output};
+use joulebus_fleet::{Fleet, Output, SecondaryOutputs};
 use joulebus_wire::{
     Budgets, Diagnostics, ForecastHeader, Forecasts, FrameHeader as _, Outlooks, PlanStates,
     WakeEvent,
@@ -67,13 +67,13 @@ impl Outbox {
         let mut shard = fleet.shard();
         pool.forecast(shard.reborrow(), payload(&mut forecasts));
         let unsent = send_forecasts(forecasts, &self.planners, header, current_permit);
-        let accounts = Accounts {
+        let secondary = SecondaryOutputs {
             diagnostics: payload(&mut diagnostics),
             budgets: payload(&mut budgets),
             plan_states: payload(&mut plan_states),
             outlooks: payload(&mut outlooks),
         };
-        pool.account(shard, accounts);
+        pool.account(shard, secondary);
         let sent = (clock::monotonic_ns(), clock::unix_ns());
         if !current_permit.holds(clock::boot_ns()) {
             return unsent;

@@ -3,7 +3,7 @@
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{Budget, budget_flag};
 
-use crate::checkpoint::Restored;
+use crate::checkpoint::RestoredAccount;
 
 /// Robots that have a line each.
 const MAX_LINES: usize = 8;
@@ -11,10 +11,10 @@ const MAX_LINES: usize = 8;
 /// Lines for people about the accounts with which a worker starts at `now_ns`, monotonic.
 pub(crate) fn first_lines(
     settings: &FleetSettings,
-    accounts: &[Restored],
+    accounts: &[RestoredAccount],
     now_ns: u64,
 ) -> Vec<String> {
-    let note = |account: &Restored| {
+    let note = |account: &RestoredAccount| {
         let of = |platform: &&joulebus_settings::Platform| platform.has(account.robot);
         let platform = settings.platforms.iter().find(of)?;
         let (pause_s, pause) = account.battery?.paused(platform, &account.ledger, now_ns)?;

@@ -8,7 +8,7 @@ use std::cell::OnceCell;
 use std::sync::{Arc, Mutex};
 
 use joulebus_bus::{Scheduling, ThreadsApart, clock, schedule_thread};
-use joulebus_fleet::{Accounts, Batch, Outputs, Shard, Stage};
+use joulebus_fleet::{Batch, Outputs, SecondaryOutputs, Shard, Stage};
 use joulebus_wire::Forecast;
 use rayon::{ThreadPool, ThreadPoolBuildError, ThreadPoolBuilder};
 
@@ -143,11 +143,11 @@ impl TickPool {
     }
 
     /// The second pass.
-    pub fn account(&self, shard: Shard<'_>, accounts: Accounts<'_>) {
-        let outputs = Outputs { accounts, ..Outputs::default() };
+    pub fn account(&self, shard: Shard<'_>, secondary: SecondaryOutputs<'_>) {
+        let outputs = Outputs { secondary, ..Outputs::default() };
         let from = self.from.saturating_mul(ACCOUNTS_FROM);
         self.pass(shard, outputs, from, |shard, batch, outputs, on| {
-            shard.account(batch, outputs.accounts, on);
+            shard.account(batch, outputs.secondary, on);
         });
     }
 

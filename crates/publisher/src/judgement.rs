@@ -68,13 +68,13 @@ pub struct Judgement {
 #[derive(Debug, Clone)]
 struct Robot {
     judge: Box<Judge>,
-    kept: Kept,
+    kept: ThinnedReadings,
     found: Vec<Implausible>,
 }
 
 /// Readings of a robot, evenly thinned out.
 #[derive(Debug, Clone)]
-struct Kept {
+struct ThinnedReadings {
     /// Time in s, values in the order of [`Quantity::ALL`], and whether it charges.
     rows: Vec<(f64, [f32; 6], bool)>,
     /// One of so many is kept, and readings since the last.
@@ -82,7 +82,7 @@ struct Kept {
     since: usize,
 }
 
-impl Kept {
+impl ThinnedReadings {
     fn new() -> Self {
         Self { rows: Vec::with_capacity(MAX_KEPT), every: 1, since: 0 }
     }
@@ -159,7 +159,7 @@ impl Judgement {
         let number = |value: Option<f32>| value.map_or(f64::NAN, f64::from);
         let new = || Robot {
             judge: Box::new(Judge::new(Known::default())),
-            kept: Kept::new(),
+            kept: ThinnedReadings::new(),
             found: Vec::new(),
         };
         if self.robots.len() >= self.max_robots && !self.robots.contains_key(&state.robot) {
@@ -230,7 +230,7 @@ impl Judgement {
             // Those that made room are judged again.
             self.plausible.clear();
             *robot.judge = Judge::new(Known::default());
-            robot.kept = Kept::new();
+            robot.kept = ThinnedReadings::new();
         }
     }
 

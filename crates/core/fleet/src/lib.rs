@@ -21,6 +21,8 @@ pub use ledger::battery::{SavedBattery, SavedLessons, SavedPause, StatedBattery}
 pub use ledger::energy::Ledger;
 pub use state::snapshot::{FleetState, StateError};
 pub use tick::batch::Batch;
-pub use tick::outputs::{Accounts, ForEachOutput, Output, OutputRows, Outputs, each_output};
+pub use tick::outputs::{
+    ForEachOutput, Output, OutputRows, Outputs, SecondaryOutputs, each_output,
+};
 pub use tick::schedule::{Next, Schedule};
 pub use tick::shard::{Shard, Stage};

@@ -20,7 +20,7 @@ use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
 
 use super::backlog::{Backlog, Held};
-use super::restore::{Restored, newest, restore};
+use super::restore::{RestoredState, newest, restore};
 
 /// Interval of checks for a newer state.
 const POLL_INTERVAL_NS: u64 = 1_000_000_000;
@@ -47,7 +47,7 @@ pub(crate) struct Following {
     /// The newest state when one was restored last. It may have been refused.
     tried: Option<Order>,
     /// The state that the fleet was restored from.
-    restored: Option<Restored>,
+    restored: Option<RestoredState>,
     replayed: Replayed,
     tick_ns: Option<u64>,
 }
@@ -96,7 +96,7 @@ impl Following {
         fleet: &mut Fleet,
         places: &Places,
         turns: &AtomicU64,
-    ) -> (Option<Restored>, Replayed) {
+    ) -> (Option<RestoredState>, Replayed) {
         self.look(places);
         self.begin(fleet, places);
         while let Some(held) = self.backlog.pop() {

@@ -7,7 +7,7 @@ use joulebus_fleet::{Fleet, FleetState};
 
 /// The source of a worker's state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Restored {
+pub(crate) struct RestoredState {
     /// Term of the worker that had it.
     pub(crate) term: u64,
     pub(crate) taken_ns: u64,
@@ -31,7 +31,7 @@ pub(crate) fn restore(
     fleet: &mut Fleet,
     places: &Places,
     before: Option<(u64, u64)>,
-) -> Option<Restored> {
+) -> Option<RestoredState> {
     let mut found: Vec<(SavedState, &Path)> = Vec::new();
     for path in files(places) {
         match SavedState::read(path) {
@@ -50,7 +50,7 @@ pub(crate) fn restore(
         match restored {
             Ok(()) => {
                 let taken_ns = saved.taken_ns;
-                return Some(Restored { term, taken_ns });
+                return Some(RestoredState { term, taken_ns });
             }
             Err(error) => tracing::error!(?path, term, "the state of a worker is refused: {error}"),
         }

@@ -33,13 +33,13 @@ use crate::tick::infer::infer;
 use crate::tick::outputs::Outputs;
 use crate::tick::score::Score;
 use crate::tick::shard::Shard;
-use crate::tick::write::budgets::Budgets;
-use crate::tick::write::diagnostics::Diagnostics;
+use crate::tick::write::budgets::BudgetRows;
+use crate::tick::write::diagnostics::DiagnosticRows;
 use crate::tick::write::flag::flag;
-use crate::tick::write::forecasts::Forecasts;
+use crate::tick::write::forecasts::ForecastRows;
 use crate::tick::write::learned::LearnedLanes;
-use crate::tick::write::outlooks::Outlooks;
-use crate::tick::write::plan_states::PlanStates;
+use crate::tick::write::outlooks::OutlookRows;
+use crate::tick::write::plan_states::PlanStateRows;
 
 /// The state of all robots, in columns indexed by slot, and everything one tick needs.
 ///
@@ -320,33 +320,33 @@ impl Fleet {
     /// writes those of all robots faster.
     pub fn forecast(&self, place: usize) -> Forecast {
         let (block, lane) = self.block_of(place);
-        Forecasts::new(block).get(&self.tick, lane)
+        ForecastRows::new(block).get(&self.tick, lane)
     }
 
     /// The diagnostics of the robot at `place`, as of the last tick.
     pub fn diagnostic(&self, place: usize) -> Diagnostic {
         let (block, lane) = self.block_of(place);
         let learned = LearnedLanes::new(&self.tick, &block);
-        Diagnostics::new(block, &learned).get(&self.tick, lane)
+        DiagnosticRows::new(block, &learned).get(&self.tick, lane)
     }
 
     /// The budget of the robot at `place`, as of the last tick.
     pub fn budget(&self, place: usize) -> Budget {
         let (block, lane) = self.block_of(place);
-        Budgets::new(&self.tick, block).get(&self.tick, lane)
+        BudgetRows::new(&self.tick, block).get(&self.tick, lane)
     }
 
     /// The outlook of the robot at `place`, as of the last tick.
     pub fn outlook(&self, place: usize) -> Outlook {
         let (block, lane) = self.block_of(place);
-        Outlooks::new(&self.tick, block).get(&self.tick, lane, &self.budget(place))
+        OutlookRows::new(&self.tick, block).get(&self.tick, lane, &self.budget(place))
     }
 
     /// The start of a plan of the robot at `place`, in the last tick.
     pub fn plan_state(&self, place: usize) -> PlanState {
         let (block, lane) = self.block_of(place);
         let learned = LearnedLanes::new(&self.tick, &block);
-        PlanStates::new(block, &learned).get(&self.tick, lane)
+        PlanStateRows::new(block, &learned).get(&self.tick, lane)
     }
 
     /// The block of the robot at a place, and its lane.

@@ -60,7 +60,7 @@ pub struct Outputs<'a> {
     /// Forecasts.
     pub forecasts: &'a mut [Forecast],
     /// The others.
-    pub accounts: Accounts<'a>,
+    pub secondary: SecondaryOutputs<'a>,
 }
 
 impl Outputs<'_> {
@@ -68,10 +68,10 @@ impl Outputs<'_> {
     /// belongs to the first.
     pub fn split_at(self, robots: usize) -> (Self, Self) {
         let (forecasts, more_forecasts) = split(self.forecasts, robots);
-        let (accounts, more_accounts) = self.accounts.split_at(robots);
+        let (secondary, more_secondary) = self.secondary.split_at(robots);
         (
-            Outputs { forecasts, accounts },
-            Outputs { forecasts: more_forecasts, accounts: more_accounts },
+            Outputs { forecasts, secondary },
+            Outputs { forecasts: more_forecasts, secondary: more_secondary },
         )
     }
 }
@@ -83,20 +83,20 @@ fn split<T>(rows: &mut [T], robots: usize) -> (&mut [T], &mut [T]) {
 
 /// Declares the outputs beside the forecasts: the name of the rows, the channel, the row, its
 /// function of [`Fleet`], and of the header the fields that are computed, and how.
-macro_rules! accounts {
+macro_rules! secondary {
     ($($(#[doc = $doc:literal])* $rows:ident: $channel:ident, $row:ident, $get:ident,
         $computed:expr, |$fleet:ident, $forecasts:ident| $header:ident { $($fields:tt)* };)*
     ) => {
         /// Output of [`crate::Shard::account`]: slices of the shard's length, or empty ones for
         /// outputs that are left out.
         #[derive(Debug, Default)]
-        pub struct Accounts<'a> {
+        pub struct SecondaryOutputs<'a> {
             $($(#[doc = $doc])* pub $rows: &'a mut [$row],)*
         }
 
-        impl<'a> Accounts<'a> {
-            pub(crate) fn places(self) -> AccountPlaces<'a> {
-                AccountPlaces { $($rows: self.$rows.iter_mut(),)* }
+        impl<'a> SecondaryOutputs<'a> {
+            pub(crate) fn places(self) -> SecondaryRows<'a> {
+                SecondaryRows { $($rows: self.$rows.iter_mut(),)* }
             }
 
             fn split_at(self, robots: usize) -> (Self, Self) {
@@ -107,7 +107,7 @@ macro_rules! accounts {
 
         /// Places of the outputs of the second pass that are still to be written. None of an
         /// omitted one.
-        pub(crate) struct AccountPlaces<'a> {
+        pub(crate) struct SecondaryRows<'a> {
             $(pub $rows: slice::IterMut<'a, $row>,)*
         }
 
@@ -133,7 +133,7 @@ macro_rules! accounts {
             pub fn outputs(&mut self, robots: usize) -> Outputs<'_> {
                 Outputs {
                     forecasts: &mut self.forecasts[..robots],
-                    accounts: Accounts { $($rows: &mut self.$rows[..robots],)* },
+                    secondary: SecondaryOutputs { $($rows: &mut self.$rows[..robots],)* },
                 }
             }
         }
@@ -159,7 +159,7 @@ macro_rules! accounts {
     };
 }
 
-accounts! {
+secondary! {
     /// Diagnostics.
     diagnostics: Diagnostics, Diagnostic, diagnostic, ["refused", "platforms"],
         |fleet, _forecasts| DiagnosticHeader {

@@ -11,9 +11,9 @@ use crate::tick::batch::Batch;
 use crate::tick::context::TickContext;
 use crate::tick::features::build_rows;
 use crate::tick::infer::{infer, run_overdue};
-use crate::tick::outputs::{AccountPlaces, Accounts, Outputs};
+use crate::tick::outputs::{Outputs, SecondaryOutputs, SecondaryRows};
 use crate::tick::score::Score;
-use crate::tick::write::{WriteAccounts, WriteForecasts};
+use crate::tick::write::{WriteForecasts, WriteSecondary};
 
 /// The stages of a tick, for time measurements.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,19 +88,19 @@ impl<'a> Shard<'a> {
         });
     }
 
-    /// Scores the samples that [`Shard::forecast`] absorbed, and writes the accounts. Empty slices
+    /// Scores the samples that [`Shard::forecast`] absorbed, and writes the other outputs. Empty slices
     /// are not written.
     pub fn account(
         &mut self,
         batch: &mut Batch,
-        accounts: Accounts<'_>,
+        secondary: SecondaryOutputs<'_>,
         on: &mut dyn FnMut(Stage),
     ) {
-        let mut accounts = accounts.places();
+        let mut secondary = secondary.places();
         self.each_tile(batch.words, |tile| {
             tile.score();
             on(Stage::Bookkeeping);
-            tile.write_accounts(&mut accounts);
+            tile.write_secondary(&mut secondary);
             on(Stage::Writing);
         });
     }
@@ -108,13 +108,13 @@ impl<'a> Shard<'a> {
     /// [`Shard::forecast`] and [`Shard::account`] in one pass through memory.
     pub fn run(&mut self, batch: &mut Batch, outputs: Outputs<'_>, on: &mut dyn FnMut(Stage)) {
         let mut forecasts = outputs.forecasts.iter_mut();
-        let mut accounts = outputs.accounts.places();
+        let mut secondary = outputs.secondary.places();
         self.each_tile(batch.words, |tile| {
             tile.infer(batch, on);
             tile.score();
             on(Stage::Bookkeeping);
             tile.write_forecasts(&mut forecasts);
-            tile.write_accounts(&mut accounts);
+            tile.write_secondary(&mut secondary);
             on(Stage::Writing);
         });
     }
@@ -148,8 +148,12 @@ impl<'a> Shard<'a> {
     }
 
     /// Each slice separately: an omitted one must not suppress the others.
-    fn write_accounts(&self, places: &mut AccountPlaces<'_>) {
-        self.tick.simd_level.run(WriteAccounts { tick: self.tick, columns: &self.columns, places });
+    fn write_secondary(&self, places: &mut SecondaryRows<'_>) {
+        self.tick.simd_level.run(WriteSecondary {
+            tick: self.tick,
+            columns: &self.columns,
+            places,
+        });
     }
 
     /// Calls `work` for each tile that has robots.

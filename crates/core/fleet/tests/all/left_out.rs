@@ -30,15 +30,15 @@ fn run(halves: bool, with: With) -> OutputRows {
         fleet.begin(now_ns, false);
         let (mut batch, mut shard) = (Batch::default(), fleet.shard());
         let mut outputs = rows.outputs(ROBOTS as usize);
-        let accounts = &mut outputs.accounts;
+        let secondary = &mut outputs.secondary;
         if !with.diagnostics {
-            accounts.diagnostics = &mut [];
+            secondary.diagnostics = &mut [];
         }
         if !with.plan_states {
-            accounts.plan_states = &mut [];
+            secondary.plan_states = &mut [];
         }
         if !with.outlooks {
-            accounts.outlooks = &mut [];
+            secondary.outlooks = &mut [];
         }
         if halves {
             let (mut first, mut second) = shard.split_at(ROBOTS as usize / 2);
@@ -47,7 +47,7 @@ fn run(halves: bool, with: With) -> OutputRows {
             second.run(&mut batch, to_second, &mut |_| {});
         } else {
             shard.forecast(&mut batch, outputs.forecasts, &mut |_| {});
-            shard.account(&mut batch, outputs.accounts, &mut |_| {});
+            shard.account(&mut batch, outputs.secondary, &mut |_| {});
         }
     }
     rows

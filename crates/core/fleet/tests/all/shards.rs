@@ -69,7 +69,7 @@ fn tick(mut shard: Shard<'_>, outputs: Outputs<'_>, batch: &mut Batch, in_two: b
         return shard.run(batch, outputs, &mut |_| {});
     }
     shard.forecast(batch, outputs.forecasts, &mut |_| {});
-    shard.account(batch, outputs.accounts, &mut |_| {});
+    shard.account(batch, outputs.secondary, &mut |_| {});
 }
 
 proptest! {

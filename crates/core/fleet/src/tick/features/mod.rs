@@ -20,7 +20,7 @@ use crate::tick::platform_context::PlatformContext;
 
 /// Result of one pass over a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Found {
+pub(crate) struct TilePass {
     /// The next platform with robots in the tile, if any.
     pub next: Option<u16>,
     /// When the oldest of the robots' last samples was taken, monotonic ns.
@@ -35,8 +35,8 @@ pub(crate) fn build_rows(
     columns: &mut ColumnsMut<'_>,
     batch: &mut Batch,
     ticking: bool,
-) -> Found {
-    let mut found = Found { next: None, oldest_ns: u64::MAX };
+) -> TilePass {
+    let mut found = TilePass { next: None, oldest_ns: u64::MAX };
     tick.simd_level.run(BuildRows { tick, platform, columns, batch, ticking, found: &mut found });
     found
 }
@@ -47,7 +47,7 @@ struct BuildRows<'a, 'b> {
     columns: &'a mut ColumnsMut<'b>,
     batch: &'a mut Batch,
     ticking: bool,
-    found: &'a mut Found,
+    found: &'a mut TilePass,
 }
 
 impl SimdTask for BuildRows<'_, '_> {

@@ -15,7 +15,7 @@ use crate::tick::platform_context::PlatformContext;
 use crate::tick::write::flag::flag;
 
 /// The budgets of a block.
-pub(crate) struct Budgets<'a> {
+pub(crate) struct BudgetRows<'a> {
     block: BlockRef<'a>,
     remaining: RemainingLanes,
     mean_power_w: Lanes<f32>,
@@ -26,7 +26,7 @@ pub(crate) struct Budgets<'a> {
     pause: Lanes<f32>,
 }
 
-impl<'a> Budgets<'a> {
+impl<'a> BudgetRows<'a> {
     #[inline(always)]
     pub(crate) fn new(tick: &TickContext, block: BlockRef<'a>) -> Self {
         const UNKNOWN: Lanes<f32> = [f32::NAN; LANES];
@@ -126,7 +126,7 @@ impl<'a> Budgets<'a> {
 
 /// Energy left of the robots of a block.
 #[inline(always)]
-fn fill_remaining(tick: &TickContext, budgets: &mut Budgets<'_>) {
+fn fill_remaining(tick: &TickContext, budgets: &mut BudgetRows<'_>) {
     let block = budgets.block;
     let Some(batteries) = block.batteries else {
         return;
@@ -172,7 +172,7 @@ pub(crate) fn estimate(
 /// Computes the robots of one platform.
 #[inline(always)]
 fn fill(
-    budgets: &mut Budgets<'_>,
+    budgets: &mut BudgetRows<'_>,
     (battery, context): (&Battery, &PlatformContext),
     batteries: &BatteryLanes,
     mask: &Lanes<bool>,

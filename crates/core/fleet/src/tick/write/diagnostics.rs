@@ -16,7 +16,7 @@ use crate::tick::write::flag::flag;
 use crate::tick::write::learned::LearnedLanes;
 
 /// The diagnostics of a block.
-pub(crate) struct Diagnostics<'a, 'b> {
+pub(crate) struct DiagnosticRows<'a, 'b> {
     block: BlockRef<'a>,
     mae_w: Lanes<f64>,
     r2: Lanes<f64>,
@@ -31,7 +31,7 @@ pub(crate) struct Diagnostics<'a, 'b> {
     learned: &'b LearnedLanes,
 }
 
-impl<'a, 'b> Diagnostics<'a, 'b> {
+impl<'a, 'b> DiagnosticRows<'a, 'b> {
     #[inline(always)]
     pub(crate) fn new(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
         let mut diagnostics = Self {

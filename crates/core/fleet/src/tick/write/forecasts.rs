@@ -10,7 +10,7 @@ use crate::tick::context::TickContext;
 use crate::tick::write::flag::flag;
 
 /// The forecasts of a block.
-pub(crate) struct Forecasts<'a> {
+pub(crate) struct ForecastRows<'a> {
     block: BlockRef<'a>,
     power_w: Lanes<f32>,
     open_steps: Lanes<u16>,
@@ -20,7 +20,7 @@ pub(crate) struct Forecasts<'a> {
     plain: Lanes<bool>,
 }
 
-impl<'a> Forecasts<'a> {
+impl<'a> ForecastRows<'a> {
     #[inline(always)]
     pub(crate) fn new(block: BlockRef<'a>) -> Self {
         let (mut power_w, mut open_steps) = ([0.0; LANES], [0; LANES]);

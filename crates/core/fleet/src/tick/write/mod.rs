@@ -18,13 +18,13 @@ use crate::layout::lanes::{AHEAD, LANES};
 use crate::layout::slots;
 use crate::state::columns::ColumnsMut;
 use crate::tick::context::TickContext;
-use crate::tick::outputs::AccountPlaces;
-use crate::tick::write::budgets::Budgets;
-use crate::tick::write::diagnostics::Diagnostics;
-use crate::tick::write::forecasts::Forecasts;
+use crate::tick::outputs::SecondaryRows;
+use crate::tick::write::budgets::BudgetRows;
+use crate::tick::write::diagnostics::DiagnosticRows;
+use crate::tick::write::forecasts::ForecastRows;
 use crate::tick::write::learned::LearnedLanes;
-use crate::tick::write::outlooks::Outlooks;
-use crate::tick::write::plan_states::PlanStates;
+use crate::tick::write::outlooks::OutlookRows;
+use crate::tick::write::plan_states::PlanStateRows;
 
 /// Prefetches the places of the next robots.
 #[inline(always)]
@@ -48,7 +48,7 @@ impl SimdTask for WriteForecasts<'_, '_, '_> {
         let (tick, columns) = (self.tick, self.columns);
         for (block, lanes) in slots::blocks(columns.words) {
             prefetch_ahead(self.places.as_slice());
-            let forecasts = Forecasts::new(columns.block(block));
+            let forecasts = ForecastRows::new(columns.block(block));
             for (lane, place) in slots::bits(lanes).zip(self.places.by_ref()) {
                 *place = forecasts.get(tick, lane);
             }
@@ -57,17 +57,17 @@ impl SimdTask for WriteForecasts<'_, '_, '_> {
 }
 
 /// Writes the diagnostics, the budgets, the plan states and the outlooks of a tile.
-pub(crate) struct WriteAccounts<'a, 'b, 'c> {
+pub(crate) struct WriteSecondary<'a, 'b, 'c> {
     pub tick: &'a TickContext,
     pub columns: &'a ColumnsMut<'b>,
-    pub places: &'a mut AccountPlaces<'c>,
+    pub places: &'a mut SecondaryRows<'c>,
 }
 
-impl SimdTask for WriteAccounts<'_, '_, '_> {
+impl SimdTask for WriteSecondary<'_, '_, '_> {
     #[inline(always)]
     fn run(self) {
         let (tick, columns) = (self.tick, self.columns);
-        let AccountPlaces { diagnostics, budgets, plan_states, outlooks } = self.places;
+        let SecondaryRows { diagnostics, budgets, plan_states, outlooks } = self.places;
         for (block, lanes) in slots::blocks(columns.words) {
             prefetch_ahead(diagnostics.as_slice());
             prefetch_ahead(budgets.as_slice());
@@ -75,12 +75,12 @@ impl SimdTask for WriteAccounts<'_, '_, '_> {
             prefetch_ahead(outlooks.as_slice());
             let block = columns.block(block);
             if budgets.len() + outlooks.len() > 0 {
-                let rows = Budgets::new(tick, block);
+                let rows = BudgetRows::new(tick, block);
                 for (lane, place) in slots::bits(lanes).zip(budgets.by_ref()) {
                     *place = rows.get(tick, lane);
                 }
                 if outlooks.len() > 0 {
-                    let ahead = Outlooks::new(tick, block);
+                    let ahead = OutlookRows::new(tick, block);
                     for (lane, place) in slots::bits(lanes).zip(outlooks.by_ref()) {
                         *place = ahead.get(tick, lane, &rows.get(tick, lane));
                     }
@@ -91,13 +91,13 @@ impl SimdTask for WriteAccounts<'_, '_, '_> {
             }
             let learned = LearnedLanes::new(tick, &block);
             if diagnostics.len() > 0 {
-                let rows = Diagnostics::new(block, &learned);
+                let rows = DiagnosticRows::new(block, &learned);
                 for (lane, place) in slots::bits(lanes).zip(diagnostics.by_ref()) {
                     *place = rows.get(tick, lane);
                 }
             }
             if plan_states.len() > 0 {
-                let rows = PlanStates::new(block, &learned);
+                let rows = PlanStateRows::new(block, &learned);
                 for (lane, place) in slots::bits(lanes).zip(plan_states.by_ref()) {
                     *place = rows.get(tick, lane);
                 }

@@ -20,27 +20,27 @@ const INVALID: u16 = Quality::Invalid(InvalidReason::Stale).encode().0;
 /// Computes the outlooks of a block.
 struct Fill<'a, 'b> {
     tick: &'a TickContext,
-    all: &'a mut Outlooks<'b>,
+    all: &'a mut OutlookRows<'b>,
 }
 
 impl SimdTask for Fill<'_, '_> {
     #[inline(always)]
     fn run(self) {
-        Outlooks::fill(self.all, self.tick);
+        OutlookRows::fill(self.all, self.tick);
     }
 }
 
 type Joules = [Lanes<f32>; OUTLOOK_HORIZONS];
 
 /// The outlooks of a block.
-pub(crate) struct Outlooks<'a> {
+pub(crate) struct OutlookRows<'a> {
     block: BlockRef<'a>,
     energy_j: Joules,
     lo_j: Joules,
     hi_j: Joules,
 }
 
-impl<'a> Outlooks<'a> {
+impl<'a> OutlookRows<'a> {
     #[inline(always)]
     pub(crate) fn new(tick: &TickContext, block: BlockRef<'a>) -> Self {
         const UNKNOWN: Joules = [[f32::NAN; LANES]; OUTLOOK_HORIZONS];

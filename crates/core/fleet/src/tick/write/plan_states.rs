@@ -10,12 +10,12 @@ use crate::tick::write::forecasts::quality_of;
 use crate::tick::write::learned::LearnedLanes;
 
 /// The plan states of a block.
-pub(crate) struct PlanStates<'a, 'b> {
+pub(crate) struct PlanStateRows<'a, 'b> {
     block: BlockRef<'a>,
     learned: &'b LearnedLanes,
 }
 
-impl<'a, 'b> PlanStates<'a, 'b> {
+impl<'a, 'b> PlanStateRows<'a, 'b> {
     #[inline(always)]
     pub(crate) fn new(block: BlockRef<'a>, learned: &'b LearnedLanes) -> Self {
         Self { block, learned }
