@@ -27,7 +27,7 @@ SYSTEM = "cargo test --locked -p joulebus-tests --test system {} -- --nocapture"
 # What is attacked: name, what happens, the test, its variables. {seed} is the round's.
 ATTACKS = [
     ("fleet", "every process of a fleet killed, paused, starved and flooded in random order",
-     "cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture",
+     SYSTEM.format("random_faults"),
      {"JOULEBUS_RANDOM_FLEETS": "1"}),
     ("hosts", "simulated hosts: kills at every step, disks, clocks, power, false frames",
      "cargo run --locked -q -p joulebus-simulator --bin joulebus-sim -- --from {seed} --seeds 4", {}),

@@ -71,10 +71,9 @@ step simulator - 'cargo run --release --locked -p joulebus-simulator --bin joule
 step linked-hosts - 'cargo run --release --locked -p joulebus-simulator --bin joulebus-sim -- --linked --seeds 288'
 step ignored - 'tested cargo test --workspace --locked --no-fail-fast -- --ignored --nocapture --skip write_the_seeds'
 # With a witness, read_capture.py and read_fleet.py run beside the faults.
-step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test campaigns random_faults -- --nocapture'
+step random-fleets - 'JOULEBUS_RANDOM_FLEETS=20 JOULEBUS_SEED=7 JOULEBUS_WITNESS=1 tested cargo test --locked -p joulebus-tests --test system random_faults -- --nocapture'
 # Eight hours before a release: CONTRIBUTING.md.
-step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test campaigns soak -- --nocapture'
-# Its tables come as a patch of the pages.
+step soak - 'JOULEBUS_SOAK_S=${JOULEBUS_SOAK_S:-1800} cargo test --locked -p joulebus-tests --test system soak -- --nocapture'
 
 # Prints why a step cannot run here, and nothing if it can.
 lacks() {

@@ -23,6 +23,9 @@ fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
     for (part, name) in [("machine", "processor"), ("build", "rustc"), ("build", "iceoryx2")] {
         assert!(suite[part][name].as_str().unwrap().len() > 2, "{part} {name}");
     }
+    let iceoryx2 = suite["build"]["iceoryx2"].as_str().unwrap();
+    let pinned = format!("iceoryx2 = {{ version = \"={iceoryx2}\"");
+    assert!(include_str!("../../../Cargo.toml").contains(&pinned), "{pinned}");
     let input = &suite["reports"][0]["input"];
     assert_eq!((&input["seed"], &input["model"]), (&"7".into(), &"builtin:gternal-sim".into()));
     let figures = figures(&suite);

@@ -4,7 +4,7 @@
 //! are removed. One seed is one fleet of some ten seconds; for hours:
 //!
 //! ```sh
-//! JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests --test campaigns random_faults -- \
+//! JOULEBUS_RANDOM_FLEETS=1000 cargo test -p joulebus-tests --test system random_faults -- \
 //!     --nocapture
 //! ```
 //!

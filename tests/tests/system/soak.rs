@@ -2,7 +2,7 @@
 //! descriptors, shared memory and files stay as they are. For hours:
 //!
 //! ```sh
-//! JOULEBUS_SOAK_S=28800 cargo test -p joulebus-tests --test campaigns soak -- --nocapture
+//! JOULEBUS_SOAK_S=28800 cargo test -p joulebus-tests --test system soak -- --nocapture
 //! ```
 //!
 //! With `JOULEBUS_SOAK_SERVE=target/debug/joulebus-serve` also its page and a stream.
