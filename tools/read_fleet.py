@@ -12,8 +12,6 @@ ends it follows the worker, also a killed and restarted one, and checks that
 A line of JSON at the end says what was seen. Exit code 1 if a check failed.
 
     tools/read_fleet.py /dev/shm/joulebus-1000/demo/iceoryx2.toml --fleet demo
-
-The package goes into an environment of its own, ~/.cache/joulebus/read-fleet (or --venv).
 """
 
 import argparse
@@ -30,24 +28,12 @@ import time
 from pinned_environment import python_of
 
 PINNED = ["iceoryx2==0.10.0"]
+HOME = pathlib.Path.home() / ".cache/joulebus/read-fleet"
 HEADER = pathlib.Path(__file__).resolve().parent.parent / "crates/languages/c/include/joulebus.h"
 # Which version of each struct the header describes. iceoryx2 compares it.
 VERSION = {"Forecast": "joulebus.Forecast.v1", "ForecastHeader": "joulebus.ForecastHeader.v1"}
 # Between two looks. An event would wake it, but belongs to a service of its own.
 LOOKS_EVERY_S = 0.002
-
-
-def arguments():
-    words = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    words.add_argument("config", type=pathlib.Path, help="iceoryx2.toml in the fleet's folder")
-    words.add_argument("--fleet", required=True, help="the fleet's name")
-    words.add_argument(
-        "--venv",
-        type=pathlib.Path,
-        default=pathlib.Path.home() / ".cache" / "joulebus" / "read-fleet",
-        help="where the package is installed",
-    )
-    return words.parse_args()
 
 
 class Layout:
@@ -165,12 +151,15 @@ def follow(config, fleet):
 
 
 def main():
-    words = arguments()
-    if os.environ.get("JOULEBUS_READ_FLEET"):
-        return follow(words.config, words.fleet)
-    python = python_of(words.venv, PINNED)
+    words = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    words.add_argument("config", type=pathlib.Path, help="iceoryx2.toml in the fleet's folder")
+    words.add_argument("--fleet", required=True, help="the fleet's name")
+    asked = words.parse_args()
+    if pathlib.Path(sys.prefix).resolve() == HOME.resolve():
+        return follow(asked.config, asked.fleet)
+    python = python_of(HOME, PINNED)
     # In place of this process: who stops it stops the reader.
-    os.execve(python, [python, __file__, *sys.argv[1:]], dict(os.environ, JOULEBUS_READ_FLEET="1"))
+    os.execv(python, [python, *sys.argv])
 
 
 if __name__ == "__main__":

@@ -536,7 +536,7 @@ fn read_by_iceoryx2(arena: &Arena) -> Child {
 /// The packages of PyPI read what the project reads.
 fn assert_read_by_others(file: &Path) {
     let mut command = script("read_capture.py");
-    command.args([name(file), "--faults", "--show", "0", "--joulebus"]);
+    command.args([name(file), "--faults", "--joulebus"]);
     command.arg(joulebus_tests::program("joulebus-under-test"));
     let ended = Child::spawn("read_capture.py", command).wait();
     assert_eq!(ended.code(), Some(0), "{ended:?}");
