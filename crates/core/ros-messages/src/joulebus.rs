@@ -1,86 +1,33 @@
 //! The messages of the package `joulebus_msgs`, which lies in `ros2/joulebus_msgs`.
 
-use serde::{Deserialize, Serialize};
-
+use crate::declare::{Defined, messages};
 use crate::{Header, Vector3};
-
-/// A type of a field, and its name in ROS 2.
-trait Field {
-    fn name() -> String;
-}
-
-/// Declares messages with their fields, as `.msg` files have them.
-macro_rules! messages {
-    ($($(#[doc = $doc:literal])* pub struct $name:ident: $file:literal {
-        $($(#[doc = $field_doc:literal])* pub $field:ident: $type:ty,)*
-    })*) => {
-        $($(#[doc = $doc])*
-        #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-        pub struct $name {
-            $($(#[doc = $field_doc])* pub $field: $type,)*
-        }
-
-        impl Field for $name {
-            fn name() -> String {
-                stringify!($name).to_owned()
-            }
-        })*
-
-        /// The messages: the part of a file that defines each one, and its fields, `type name`
-        /// each. Parts are `package/msg/Name`, and `_Request` or `_Response` of a service.
-        #[must_use]
-        pub fn definitions() -> Vec<(&'static str, Vec<String>)> {
-            vec![$((
-                $file,
-                vec![$(format!("{} {}", <$type as Field>::name(), stringify!($field)),)*],
-            ),)*]
-        }
-    };
-}
-
-macro_rules! names {
-    ($($type:ty: $name:literal,)*) => {
-        $(impl Field for $type {
-            fn name() -> String {
-                $name.to_owned()
-            }
-        })*
-    };
-}
-
-names! {
-    bool: "bool",
-    u8: "uint8",
-    u32: "uint32",
-    u64: "uint64",
-    i32: "int32",
-    f32: "float32",
-    f64: "float64",
-    String: "string",
-    Header: "std_msgs/Header",
-    Vector3: "geometry_msgs/Point",
-}
-
-impl<T: Field> Field for Vec<T> {
-    fn name() -> String {
-        format!("{}[]", T::name())
-    }
-}
-
-impl<T: Field, const LENGTH: usize> Field for [T; LENGTH] {
-    fn name() -> String {
-        format!("{}[{LENGTH}]", T::name())
-    }
-}
 
 /// [`Answer::verdict`]: unknown, yes, tight and no.
 pub const VERDICTS: [u8; 4] = [0, 1, 2, 3];
+
+/// The messages: the part of a file that defines each one, and its fields, `type name` each. Parts
+/// are `package/msg/Name`, and `_Request` or `_Response` of a service.
+#[must_use]
+pub fn definitions() -> Vec<(&'static str, Vec<String>)> {
+    fn of<T: Defined>() -> (&'static str, Vec<String>) {
+        (T::FILE, T::fields())
+    }
+    vec![
+        of::<Outlook>(),
+        of::<Answer>(),
+        of::<WhatIfRequest>(),
+        of::<WhatIfResponse>(),
+        of::<AcknowledgeRequest>(),
+        of::<AcknowledgeResponse>(),
+    ]
+}
 
 messages! {
     /// The energy that a robot will draw if it goes on as it does. NaN is unknown.
     pub struct Outlook: "joulebus_msgs/msg/Outlook" {
         /// Time of the robot's newest sample, and the robot's name.
-        pub header: Header,
+        pub header: Header as "std_msgs/Header",
         /// Horizons, s.
         pub horizon_s: [f32; 4],
         /// Energy expected over each horizon, J.
@@ -146,7 +93,7 @@ messages! {
         /// Coverage of the intervals.
         pub coverage: f32,
         /// A path to follow, m.
-        pub path: Vec<Vector3>,
+        pub path: Vec<Vector3> as "geometry_msgs/Point[]",
         /// Speed towards each point, m/s, or nothing.
         pub speed_mps: Vec<f64>,
         /// Time that the robots wait at each point, s, or nothing.

@@ -1,6 +1,7 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
+mod declare;
 mod hashes;
 mod joulebus;
 mod published;
@@ -8,6 +9,7 @@ mod published;
 use cdr_encoding::from_bytes;
 use serde::{Deserialize, Serialize};
 
+use declare::{Defined, messages};
 pub use hashes::type_hash;
 pub use joulebus::{
     AcknowledgeRequest, AcknowledgeResponse, Answer, Outlook, VERDICTS, WhatIfRequest,
@@ -15,13 +17,167 @@ pub use joulebus::{
 };
 pub use published::{DiagnosticArray, DiagnosticStatus, Float64, KeyValue, encode};
 
-/// Time since 1970.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-pub struct Time {
-    /// s.
-    pub sec: i32,
-    /// ns.
-    pub nanosec: u32,
+messages! {
+    /// Time since 1970.
+    #[derive(Copy, Eq, Default)]
+    pub struct Time: "builtin_interfaces/msg/Time" {
+        /// s.
+        pub sec: i32,
+        /// ns.
+        pub nanosec: u32,
+    }
+
+    /// `rosgraph_msgs/Clock`.
+    #[derive(Copy, Eq)]
+    pub struct Clock: "rosgraph_msgs/msg/Clock" {
+        /// Simulated time.
+        pub clock: Time,
+    }
+
+    /// `std_msgs/Header`.
+    #[derive(Eq)]
+    pub struct Header: "std_msgs/msg/Header" {
+        /// Measurement time.
+        pub stamp: Time,
+        /// Its frame of reference.
+        pub frame_id: String,
+    }
+
+    /// `geometry_msgs/Vector3` and `geometry_msgs/Point`.
+    #[derive(Copy)]
+    #[expect(missing_docs, reason = "three coordinates")]
+    pub struct Vector3: "geometry_msgs/msg/Vector3" {
+        pub x: f64,
+        pub y: f64,
+        pub z: f64,
+    }
+
+    /// `geometry_msgs/Quaternion`.
+    #[derive(Copy)]
+    #[expect(missing_docs, reason = "four coordinates")]
+    pub struct Quaternion: "geometry_msgs/msg/Quaternion" {
+        pub x: f64,
+        pub y: f64,
+        pub z: f64,
+        pub w: f64,
+    }
+
+    /// `geometry_msgs/Pose`.
+    #[derive(Copy)]
+    pub struct Pose: "geometry_msgs/msg/Pose" {
+        /// m.
+        pub position: Vector3 as "Point",
+        /// A unit quaternion.
+        pub orientation: Quaternion,
+    }
+
+    /// `geometry_msgs/Twist`.
+    #[derive(Copy)]
+    pub struct Twist: "geometry_msgs/msg/Twist" {
+        /// m/s.
+        pub linear: Vector3,
+        /// rad/s.
+        pub angular: Vector3,
+    }
+
+    /// `geometry_msgs/TwistStamped`.
+    #[expect(missing_docs, reason = "named as in the definition")]
+    pub struct TwistStamped: "geometry_msgs/msg/TwistStamped" {
+        pub header: Header,
+        pub twist: Twist,
+    }
+
+    /// `geometry_msgs/PoseWithCovariance`.
+    #[expect(missing_docs, reason = "named as in the definition")]
+    pub struct PoseWithCovariance: "geometry_msgs/msg/PoseWithCovariance" {
+        pub pose: Pose,
+        pub covariance: Covariance as "float64[36]",
+    }
+
+    /// `geometry_msgs/TwistWithCovariance`.
+    #[expect(missing_docs, reason = "named as in the definition")]
+    pub struct TwistWithCovariance: "geometry_msgs/msg/TwistWithCovariance" {
+        pub twist: Twist,
+        pub covariance: Covariance as "float64[36]",
+    }
+
+    /// `nav_msgs/Odometry`.
+    #[expect(missing_docs, reason = "named as in the definition")]
+    pub struct Odometry: "nav_msgs/msg/Odometry" {
+        pub header: Header,
+        pub child_frame_id: String,
+        pub pose: PoseWithCovariance,
+        pub twist: TwistWithCovariance,
+    }
+
+    /// `sensor_msgs/BatteryState`.
+    pub struct BatteryState: "sensor_msgs/msg/BatteryState" {
+        /// Measurement time.
+        pub header: Header,
+        /// Voltage, V.
+        pub voltage: f32,
+        /// Temperature, °C.
+        pub temperature: f32,
+        /// Current, A. Negative while discharging, by definition.
+        pub current: f32,
+        /// Charge, Ah.
+        pub charge: f32,
+        /// Capacity, Ah.
+        pub capacity: f32,
+        /// Design capacity, Ah.
+        pub design_capacity: f32,
+        /// State of charge, 0 to 1.
+        pub percentage: f32,
+        /// 1 charging, 2 discharging, 3 not charging, 4 full.
+        pub power_supply_status: u8,
+        /// See the definition.
+        pub power_supply_health: u8,
+        /// See the definition.
+        pub power_supply_technology: u8,
+        /// Whether there is a battery.
+        pub present: bool,
+        /// Cell voltages, V.
+        pub cell_voltage: Vec<f32>,
+        /// Cell temperatures, °C.
+        pub cell_temperature: Vec<f32>,
+        /// Location in the robot.
+        pub location: String,
+        /// Serial number.
+        pub serial_number: String,
+    }
+
+    /// `spot_msgs/BatteryState`.
+    pub struct SpotBattery: "spot_msgs/msg/BatteryState" {
+        /// Measurement time.
+        pub header: Header,
+        /// The battery's name.
+        pub identifier: String,
+        /// State of charge, %.
+        pub charge_percentage: f64,
+        /// Time until it is empty.
+        pub estimated_runtime: Time as "Duration",
+        /// Current, A. Negative while discharging.
+        pub current: f64,
+        /// Voltage, V.
+        pub voltage: f64,
+        /// °C.
+        pub temperatures: Vec<f64>,
+        /// 0 unknown, 1 missing, 2 charging, 3 discharging, 4 booting.
+        pub status: u8,
+    }
+
+    /// `spot_msgs/BatteryStateArray`.
+    #[expect(missing_docs, reason = "named as in the definition")]
+    pub struct BatteryStateArray: "spot_msgs/msg/BatteryStateArray" {
+        pub battery_states: Vec<SpotBattery>,
+    }
+
+    /// `std_msgs/Bool`.
+    #[derive(Copy, Eq)]
+    #[expect(missing_docs, reason = "named as in the definition")]
+    pub struct Bool: "std_msgs/msg/Bool" {
+        pub data: bool,
+    }
 }
 
 impl Time {
@@ -33,13 +189,6 @@ impl Time {
     }
 }
 
-/// `rosgraph_msgs/Clock`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Clock {
-    /// Simulated time.
-    pub clock: Time,
-}
-
 impl Clock {
     /// Its name in ROS 2.
     pub const NAME: &str = "rosgraph_msgs/msg/Clock";
@@ -49,34 +198,6 @@ impl Clock {
         let sec = u64::try_from(self.clock.sec).ok().filter(|_| self.clock.nanosec < 1_000_000_000);
         sec.map(|sec| sec * 1_000_000_000 + u64::from(self.clock.nanosec))
     }
-}
-
-/// `std_msgs/Header`.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Header {
-    /// Measurement time.
-    pub stamp: Time,
-    /// Its frame of reference.
-    pub frame_id: String,
-}
-
-/// `geometry_msgs/Vector3` and `geometry_msgs/Point`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "three coordinates")]
-pub struct Vector3 {
-    pub x: f64,
-    pub y: f64,
-    pub z: f64,
-}
-
-/// `geometry_msgs/Quaternion`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "four coordinates")]
-pub struct Quaternion {
-    pub x: f64,
-    pub y: f64,
-    pub z: f64,
-    pub w: f64,
 }
 
 impl Quaternion {
@@ -92,125 +213,8 @@ impl Quaternion {
     }
 }
 
-/// `geometry_msgs/Pose`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Pose {
-    /// m.
-    pub position: Vector3,
-    /// A unit quaternion.
-    pub orientation: Quaternion,
-}
-
-/// `geometry_msgs/Twist`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Twist {
-    /// m/s.
-    pub linear: Vector3,
-    /// rad/s.
-    pub angular: Vector3,
-}
-
-/// `geometry_msgs/TwistStamped`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "named as in the definition")]
-pub struct TwistStamped {
-    pub header: Header,
-    pub twist: Twist,
-}
-
 /// Six by six, row by row.
 pub type Covariance = [[f64; 6]; 6];
-
-/// `geometry_msgs/PoseWithCovariance`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "named as in the definition")]
-pub struct PoseWithCovariance {
-    pub pose: Pose,
-    pub covariance: Covariance,
-}
-
-/// `geometry_msgs/TwistWithCovariance`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "named as in the definition")]
-pub struct TwistWithCovariance {
-    pub twist: Twist,
-    pub covariance: Covariance,
-}
-
-/// `nav_msgs/Odometry`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "named as in the definition")]
-pub struct Odometry {
-    pub header: Header,
-    pub child_frame_id: String,
-    pub pose: PoseWithCovariance,
-    pub twist: TwistWithCovariance,
-}
-
-/// `sensor_msgs/BatteryState`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct BatteryState {
-    /// Measurement time.
-    pub header: Header,
-    /// Voltage, V.
-    pub voltage: f32,
-    /// Temperature, °C.
-    pub temperature: f32,
-    /// Current, A. Negative while discharging, by definition.
-    pub current: f32,
-    /// Charge, Ah.
-    pub charge: f32,
-    /// Capacity, Ah.
-    pub capacity: f32,
-    /// Design capacity, Ah.
-    pub design_capacity: f32,
-    /// State of charge, 0 to 1.
-    pub percentage: f32,
-    /// 1 charging, 2 discharging, 3 not charging, 4 full.
-    pub power_supply_status: u8,
-    /// See the definition.
-    pub power_supply_health: u8,
-    /// See the definition.
-    pub power_supply_technology: u8,
-    /// Whether there is a battery.
-    pub present: bool,
-    /// Cell voltages, V.
-    pub cell_voltage: Vec<f32>,
-    /// Cell temperatures, °C.
-    pub cell_temperature: Vec<f32>,
-    /// Location in the robot.
-    pub location: String,
-    /// Serial number.
-    pub serial_number: String,
-}
-
-/// `spot_msgs/BatteryState`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct SpotBattery {
-    /// Measurement time.
-    pub header: Header,
-    /// The battery's name.
-    pub identifier: String,
-    /// State of charge, %.
-    pub charge_percentage: f64,
-    /// Time until it is empty.
-    pub estimated_runtime: Time,
-    /// Current, A. Negative while discharging.
-    pub current: f64,
-    /// Voltage, V.
-    pub voltage: f64,
-    /// °C.
-    pub temperatures: Vec<f64>,
-    /// 0 unknown, 1 missing, 2 charging, 3 discharging, 4 booting.
-    pub status: u8,
-}
-
-/// `spot_msgs/BatteryStateArray`.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "named as in the definition")]
-pub struct BatteryStateArray {
-    pub battery_states: Vec<SpotBattery>,
-}
 
 impl BatteryStateArray {
     /// The packs, as `sensor_msgs` has them.
@@ -238,13 +242,6 @@ impl BatteryStateArray {
             serial_number: pack.identifier.clone(),
         })
     }
-}
-
-/// `std_msgs/Bool`.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[expect(missing_docs, reason = "named as in the definition")]
-pub struct Bool {
-    pub data: bool,
 }
 
 /// A supported message type.
@@ -294,7 +291,7 @@ pub enum RosError {
     Encoding { found: String, allowed: &'static str },
     /// The definition in the file has other fields.
     #[error("its definition has {found:?} where {expected:?} is expected")]
-    Definition { found: String, expected: &'static str },
+    Definition { found: String, expected: String },
     /// The bytes are not plain CDR.
     #[error("begins with {found:02x?}. Plain CDR begins with 00 00 or 00 01")]
     Encapsulation { found: Vec<u8> },
@@ -362,77 +359,31 @@ impl RosType {
         })
     }
 
-    /// Fields of the type and of nested types, `type name` each, as far as they determine the
-    /// layout.
-    const fn definition(self) -> &'static [(&'static str, &'static [&'static str])] {
-        const HEADER: (&str, &[&str]) = ("Header", &["Time stamp", "string frame_id"]);
-        const VECTOR: (&str, &[&str]) = ("Vector3", &["float64 x", "float64 y", "float64 z"]);
-        const TWIST: (&str, &[&str]) = ("Twist", &["Vector3 linear", "Vector3 angular"]);
+    /// Name and fields of the type and of nested types, `type name` each, as far as they determine
+    /// the layout.
+    fn definition(self) -> Vec<(&'static str, Vec<String>)> {
+        fn of<T: Defined>() -> (&'static str, Vec<String>) {
+            (last_part(T::FILE), T::fields())
+        }
+        let (header, vector, twist) = (of::<Header>, of::<Vector3>, of::<Twist>);
         match self {
-            Self::BatteryState => &[
-                (
-                    "BatteryState",
-                    &[
-                        "Header header",
-                        "float32 voltage",
-                        "float32 temperature",
-                        "float32 current",
-                        "float32 charge",
-                        "float32 capacity",
-                        "float32 design_capacity",
-                        "float32 percentage",
-                        "uint8 power_supply_status",
-                        "uint8 power_supply_health",
-                        "uint8 power_supply_technology",
-                        "bool present",
-                        "float32[] cell_voltage",
-                        "float32[] cell_temperature",
-                        "string location",
-                        "string serial_number",
-                    ],
-                ),
-                HEADER,
-            ],
-            Self::BatteryStateArray => &[
-                ("BatteryStateArray", &["BatteryState[] battery_states"]),
-                (
-                    "BatteryState",
-                    &[
-                        "Header header",
-                        "string identifier",
-                        "float64 charge_percentage",
-                        "Duration estimated_runtime",
-                        "float64 current",
-                        "float64 voltage",
-                        "float64[] temperatures",
-                        "uint8 status",
-                    ],
-                ),
-                HEADER,
-            ],
-            Self::Bool => &[("Bool", &["bool data"])],
-            Self::Twist => &[TWIST, VECTOR],
-            Self::TwistStamped => {
-                &[("TwistStamped", &["Header header", "Twist twist"]), HEADER, TWIST, VECTOR]
+            Self::BatteryState => vec![of::<BatteryState>(), header()],
+            Self::BatteryStateArray => {
+                vec![of::<BatteryStateArray>(), of::<SpotBattery>(), header()]
             }
-            Self::Odometry => &[
-                (
-                    "Odometry",
-                    &[
-                        "Header header",
-                        "string child_frame_id",
-                        "PoseWithCovariance pose",
-                        "TwistWithCovariance twist",
-                    ],
-                ),
-                HEADER,
-                ("PoseWithCovariance", &["Pose pose", "float64[36] covariance"]),
-                ("Pose", &["Point position", "Quaternion orientation"]),
-                ("Point", &["float64 x", "float64 y", "float64 z"]),
-                ("Quaternion", &["float64 x", "float64 y", "float64 z", "float64 w"]),
-                ("TwistWithCovariance", &["Twist twist", "float64[36] covariance"]),
-                TWIST,
-                VECTOR,
+            Self::Bool => vec![of::<Bool>()],
+            Self::Twist => vec![twist(), vector()],
+            Self::TwistStamped => vec![of::<TwistStamped>(), header(), twist(), vector()],
+            Self::Odometry => vec![
+                of::<Odometry>(),
+                header(),
+                of::<PoseWithCovariance>(),
+                of::<Pose>(),
+                ("Point", vector().1),
+                of::<Quaternion>(),
+                of::<TwistWithCovariance>(),
+                twist(),
+                vector(),
             ],
         }
     }
@@ -459,14 +410,13 @@ fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
     }
     for (name, fields) in expected {
         // Files may omit the definitions of types that they have elsewhere.
-        let Some((_, found)) = sections.iter().find(|(section, _)| section == name) else {
+        let Some((_, found)) = sections.iter().find(|(section, _)| *section == name) else {
             continue;
         };
         for at in 0..fields.len().max(found.len()) {
-            let expected = fields.get(at).copied().unwrap_or("the end");
-            let found = found.get(at).map_or("the end", String::as_str);
+            let [found, expected] =
+                [found, &fields].map(|of| of.get(at).map_or("the end", String::as_str).to_owned());
             if found != expected {
-                let found = found.to_owned();
                 return Err(RosError::Definition { found, expected });
             }
         }
