@@ -68,7 +68,7 @@ pub(crate) fn step_block(
         }
     }
     read_lasts(lasts, &samples, mask, &elapsed_s, &network_w);
-    let mut steps = StepLanes::all(&Step::NONE);
+    let mut steps = const { StepLanes::all(&Step::NONE) };
     read_windows(context.required, &mut windows.closed, &samples, mask, &elapsed_s, &mut steps);
     qualify(context.required, lasts, &samples, mask, windows, &steps);
     store_expected(&mut columns.pending[block], mask, &steps);
@@ -108,7 +108,7 @@ fn learn(
         (last_w[lane], due[lane]) = (window.last_w(), window.due());
         scored[lane] = mask[lane] & window.is_scored();
     }
-    let mut updates = RlsUpdateLanes::all(&RlsUpdate::NONE);
+    let mut updates = const { RlsUpdateLanes::all(&RlsUpdate::NONE) };
     for lane in 0..LANES {
         let [a, b, c, d, e] = &lags_w;
         let lag_w = [a[lane], b[lane], c[lane], d[lane], e[lane]];
