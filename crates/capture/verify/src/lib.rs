@@ -506,6 +506,11 @@ impl Verifier {
     }
 
     /// Continues from the first keyframe that waiting ticks follow.
+    ///
+    /// 1. Give up the ticks that the keyframe contains: nothing before it can be computed.
+    /// 2. Restore the fleet from the keyframe. One that is refused is reported, and the next tried.
+    /// 3. [`Verifier::catch_up`] computes waiting ticks while they follow each other.
+    /// 4. At the first gap the fleet is lost, and the next keyframe is awaited.
     fn resume(&mut self) {
         while let Some(first) = self.waiting.front() {
             let run = first.worker_epoch;

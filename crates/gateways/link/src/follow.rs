@@ -209,6 +209,12 @@ impl Following {
     }
 
     /// Handles a message of the link `from`.
+    ///
+    /// 1. Its ingress checks order and size, and calls back for each frame that it accepts.
+    /// 2. A frame of a higher term than any before makes its sender the leader at once.
+    /// 3. A frame of a lower term is fenced: another candidate has led since.
+    /// 4. Frames of the leader go to this host's ports. An error that lasts ends the thread.
+    /// 5. A status of a living worker keeps its term the highest while it sends no frame.
     fn message(&mut self, from: &str, bytes: &Bytes, arrived_ns: u64) -> Result<(), SendError> {
         let Self { worker_ports, feed, .. } = self;
         let WorkerFeed { ingresses, leader, highest, .. } = feed;
