@@ -188,6 +188,13 @@ impl LedgerFiles {
             .map_err(|source| LedgerFileError::Io { path: self.newest.clone(), source })
     }
 
+    /// 1. Finish a save that was cut off: its temporary file is the newest generation.
+    /// 2. Free the temporary file's name. A foreign file there is set aside.
+    /// 3. Write and sync the temporary file. From here on it is the newest generation.
+    /// 4. Rename the newest file to the older one, the temporary one to the newest, and sync the
+    ///    directory.
+    ///
+    /// A kill between any two steps leaves a whole generation, which the next start finds.
     fn replace(&mut self, ledger: &Checkpoint) -> io::Result<()> {
         disk::create_dir_all(self.folder())?;
         if self.is_unfinished {
@@ -420,6 +427,13 @@ mod tests {
         ledger
     }
 
+    /// A folder, and where the ledger is in it.
+    fn place() -> (tempfile::TempDir, PathBuf) {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("ledger.json");
+        (folder, path)
+    }
+
     fn kept(path: &Path) -> Option<i64> {
         let ledger = LedgerFiles::new(path).read("lab").unwrap()?;
         Some(ledger.robots.values().next().unwrap().drawn_uj)
@@ -453,15 +467,14 @@ mod tests {
 
     #[test]
     fn what_is_not_the_ledgers_in_the_temporary_files_place_keeps_no_worker_from_starting() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (folder, path) = place();
         let new = with(&path, "new");
         let another = folder.path().join("another.json");
         let mut of_another = drawn(99);
         of_another.fleet = "another".to_owned();
         LedgerFiles::new(&another).write(&of_another).unwrap();
         let whole = fs::read(&another).unwrap();
-        let places: [&dyn Fn(); 5] = [
+        let others: [&dyn Fn(); 5] = [
             &|| fs::create_dir(&new).unwrap(),
             &|| std::os::unix::fs::symlink(&another, &new).unwrap(),
             &|| fs::write(&new, "{\"schema\":7}").unwrap(),
@@ -469,8 +482,8 @@ mod tests {
             &|| fs::write(&new, &whole[..whole.len() / 2]).unwrap(),
         ];
         LedgerFiles::new(&path).write(&drawn(0)).unwrap();
-        for (place, drawn_uj) in places.into_iter().zip(1..) {
-            place();
+        for (put, drawn_uj) in others.into_iter().zip(1..) {
+            put();
             assert_eq!(kept(&path), Some(drawn_uj - 1));
             let mut files = LedgerFiles::new(&path);
             files.read("lab").unwrap();
@@ -487,8 +500,7 @@ mod tests {
 
     #[test]
     fn of_any_number_of_files_that_were_set_aside_none_is_overwritten() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         let new = with(&path, "new");
         let aside = |number| with(&new, &format!("damaged-{number}"));
         (1..=150).for_each(|number| fs::write(aside(number), "before").unwrap());
@@ -503,8 +515,7 @@ mod tests {
 
     #[test]
     fn what_lies_in_the_temporary_files_place_is_somebodys_or_a_cut_off_save() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (folder, path) = place();
         let new = with(&path, "new");
         let aside = with(&new, "damaged-1");
         let victim = folder.path().join("victim");
@@ -551,8 +562,7 @@ mod tests {
 
     #[test]
     fn any_changed_byte_in_a_file_is_detected_and_the_older_one_used() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         two(&path);
         let older = with(&path, "older");
         let (whole, before) = (fs::read(&path).unwrap(), fs::read(&older).unwrap());
@@ -582,8 +592,7 @@ mod tests {
     }
 
     fn is_read_and_continued(schema: u32) {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         let ledger = drawn(77);
         let before = serde_json::to_vec(&Content {
             schema,
@@ -602,8 +611,7 @@ mod tests {
 
     #[test]
     fn a_file_whose_platforms_remember_fewer_quantities_is_read() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         let mut ledger = drawn(77);
         ledger.errors.push(ModelErrors { model_hash: 7, seen: ErrorCounts::default() });
         for without in [None, Some("groups")] {
@@ -636,8 +644,7 @@ mod tests {
 
     #[test]
     fn a_file_of_df6ba14_is_read_whole_and_what_this_release_writes_is_one_that_it_reads() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         let head = r#"{"schema":3,"generation":41,"fnv1a":"5a19a900f819c81a","ledger":"#;
         let text = format!("{head}{DF6BA14}}}");
         fs::write(&path, &text).unwrap();
@@ -651,27 +658,20 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_power_is_in_a_version_that_releases_without_it_refuse() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
-        let mut ledger = drawn(77);
-        ledger.robots.values_mut().for_each(|account| account.mean_power_w = Some(6.25));
-        LedgerFiles::new(&path).write(&ledger).unwrap();
-        let text = fs::read_to_string(&path).unwrap();
-        assert!(text.starts_with("{\"schema\":5,\"generation\":1,"), "{text}");
-        assert!(text.contains("\"mean_power_w\":6.25"), "{text}");
-        assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(ledger));
-    }
-
-    #[test]
-    fn lost_accounts_are_in_a_version_that_releases_without_them_refuse() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+    fn what_releases_before_do_not_know_is_in_a_version_that_they_refuse() {
         let lost = Checkpoint { lost: [7, u16::MAX].into(), ..drawn(77) };
-        LedgerFiles::new(&path).write(&lost).unwrap();
-        let text = fs::read_to_string(&path).unwrap();
-        assert!(text.starts_with("{\"schema\":4,\"generation\":1,"), "{text}");
-        assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(lost));
+        let mut mean = drawn(77);
+        mean.robots.values_mut().for_each(|account| account.mean_power_w = Some(6.25));
+        for (schema, ledger, part) in
+            [(LOST, lost, "\"lost\":[7,65535]"), (MEANS, mean, "\"mean_power_w\":6.25")]
+        {
+            let (_folder, path) = place();
+            LedgerFiles::new(&path).write(&ledger).unwrap();
+            let text = fs::read_to_string(&path).unwrap();
+            let head = format!("{{\"schema\":{schema},\"generation\":1,");
+            assert!(text.starts_with(&head) && text.contains(part), "{text}");
+            assert_eq!(LedgerFiles::new(&path).read("lab").unwrap(), Some(ledger));
+        }
     }
 
     /// Bytes of generation `generation`, which has drawn as many µJ.
@@ -723,8 +723,7 @@ mod tests {
 
     #[test]
     fn a_save_that_was_cut_off_is_finished_before_the_next_one_begins() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         let [older, new] = ["older", "new"].map(|ending| with(&path, ending));
         two(&path);
         fs::rename(&path, &older).unwrap();
@@ -753,8 +752,7 @@ mod tests {
 
     #[test]
     fn the_next_save_is_the_newest_whichever_generation_was_taken() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         two(&path);
         fs::write(&path, "x").unwrap();
         let mut files = LedgerFiles::new(&path);
@@ -770,8 +768,7 @@ mod tests {
 
     #[test]
     fn without_a_valid_generation_the_error_states_file_and_reason() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("ledger.json");
+        let (_folder, path) = place();
         let error = |fleet: &str| LedgerFiles::new(&path).read(fleet).unwrap_err();
         two(&path);
         assert!(matches!(error("mine"), LedgerFileError::Foreign { .. }));
