@@ -41,12 +41,12 @@ impl Journal {
     }
 
     /// Records what a person states of a robot.
-    pub(crate) fn note_statement(&mut self, (robot, stated): (u32, Statement), now_ns: u64) {
+    pub(crate) fn note_statement(&mut self, robot: u32, stated: Statement, now_ns: u64) {
         self.list(TakenFrame::stated(robot, stated, now_ns));
     }
 
     /// Records that the run of a source has ended.
-    pub(crate) fn note_source_ended(&mut self, (source_id, epoch): (u64, u64), now_ns: u64) {
+    pub(crate) fn note_source_ended(&mut self, source_id: u64, epoch: u64, now_ns: u64) {
         self.list(TakenFrame::source_ended(source_id, epoch, now_ns));
     }
 

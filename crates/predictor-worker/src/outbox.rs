@@ -53,7 +53,8 @@ impl Outbox {
     /// Forecasts are sent first, and planners are woken for them.
     pub(crate) fn tick(
         &mut self,
-        (fleet, pool): (&mut Fleet, &TickPool),
+        fleet: &mut Fleet,
+        pool: &TickPool,
         header: ForecastHeader,
         flags: u32,
         current_permit: &CurrentPermit,
@@ -79,10 +80,10 @@ impl Outbox {
             return unsent;
         }
         unsent
-            + send(diagnostics, (fleet, &header), sent)
-            + send(budgets, (fleet, &header), sent)
-            + send(plan_states, (fleet, &header), sent)
-            + send(outlooks, (fleet, &header), sent)
+            + send(diagnostics, fleet, &header, sent)
+            + send(budgets, fleet, &header, sent)
+            + send(plan_states, fleet, &header, sent)
+            + send(outlooks, fleet, &header, sent)
     }
 
     /// Sends planners the end event.
@@ -129,7 +130,8 @@ fn send_forecasts(
 /// Sends a frame, unless it is left out. Returns the number of frames that could not be sent.
 fn send<O: Output>(
     lent: Lent<'_, O>,
-    (fleet, forecasts): (&Fleet, &ForecastHeader),
+    fleet: &Fleet,
+    forecasts: &ForecastHeader,
     (sent_ns, sent_unix_ns): (u64, u64),
 ) -> u64 {
     let sent = lent.is_none_or(|loan| {

@@ -373,8 +373,8 @@ impl Worker {
         let Phase::Following { places, following, look_ns } = &mut self.phase else {
             return Ok(true);
         };
-        let incoming = (&mut self.samples, &mut self.part);
-        if hold(incoming, following, &mut self.fleet, places).is_err() {
+        let (samples, buffer, fleet) = (&mut self.samples, &mut self.part, &mut self.fleet);
+        if hold(samples, buffer, following, fleet, places).is_err() {
             self.failures.receive.fetch_add(1, Ordering::Relaxed);
         }
         let now_ns = clock::monotonic_ns();
@@ -595,10 +595,8 @@ impl Worker {
                 Ok(Some(mut incoming)) => {
                     let now_ns = clock::monotonic_ns();
                     if self.source_ports.begin(&incoming) {
-                        end_gone(
-                            (&mut self.source_ports, &mut self.journal, &mut self.fleet),
-                            now_ns,
-                        );
+                        let ports = &mut self.source_ports;
+                        end_gone(ports, &mut self.journal, &mut self.fleet, now_ns);
                     }
                     self.journal.note(&incoming, now_ns);
                     let count = incoming.len() as u64;
@@ -612,8 +610,8 @@ impl Worker {
                     self.intake_ns += clock::monotonic_ns().saturating_sub(since_ns);
                 }
                 Ok(None) => {
-                    let all = (&mut self.source_ports, &mut self.journal, &mut self.fleet);
-                    return end_gone(all, clock::monotonic_ns());
+                    let (ports, now_ns) = (&mut self.source_ports, clock::monotonic_ns());
+                    return end_gone(ports, &mut self.journal, &mut self.fleet, now_ns);
                 }
                 Err(_) => {
                     self.failures.receive.fetch_add(1, Ordering::Relaxed);
@@ -632,7 +630,7 @@ impl Worker {
         while self.stated_batteries.has_room()
             && let Ok((robot, stated)) = statements.try_recv()
         {
-            self.journal.note_statement((robot, stated), now_ns);
+            self.journal.note_statement(robot, stated, now_ns);
             if let Some(battery) = self.fleet.take_statement(robot, stated, now_ns) {
                 self.stated_batteries.send(battery);
             }
@@ -651,8 +649,8 @@ impl Worker {
         self.header.tick += 1;
         let header = self.header_of(intake, start_ns);
         let flags = self.outbox.flags(self.shedding.sheds);
-        let unsent =
-            self.outbox.tick((&mut self.fleet, &self.pool), header, flags, &self.current_permit);
+        let (outbox, permit) = (&mut self.outbox, &self.current_permit);
+        let unsent = outbox.tick(&mut self.fleet, &self.pool, header, flags, permit);
         let unsent_before = self.failures.unsent.fetch_add(unsent, Ordering::Relaxed);
         if !self.current_permit.holds(clock::boot_ns()) {
             // The next turn ends it.
@@ -699,7 +697,8 @@ impl Worker {
 
 /// Keeps the frames that wait.
 fn hold(
-    (samples, buffer): (&mut SampleReader, &mut Vec<Sample>),
+    samples: &mut SampleReader,
+    buffer: &mut Vec<Sample>,
     following: &mut Following,
     fleet: &mut Fleet,
     places: &Places,
@@ -727,9 +726,9 @@ fn hold(
 }
 
 /// Ends the sources whose ports are gone.
-fn end_gone((ports, journal, fleet): (&mut SourcePorts, &mut Journal, &mut Fleet), now_ns: u64) {
+fn end_gone(ports: &mut SourcePorts, journal: &mut Journal, fleet: &mut Fleet, now_ns: u64) {
     ports.end_gone(|(source, epoch)| {
-        journal.note_source_ended((source, epoch), now_ns);
+        journal.note_source_ended(source, epoch, now_ns);
         fleet.end_source(source, epoch);
     });
 }
