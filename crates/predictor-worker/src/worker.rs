@@ -71,8 +71,8 @@ pub struct Worker {
     name: String,
     current_permit: Arc<CurrentPermit>,
     phase: Phase,
-    /// What persons state of robots, and how many of these a tick has taken whose budgets and journal
-    /// are sent.
+    /// What persons state of robots, and how many of these a tick has taken whose budgets and
+    /// journal are sent.
     statements: Option<(Receiver<(u32, Statement)>, Arc<AtomicU64>)>,
     /// Number of those taken that do not count yet.
     uncounted: u64,
@@ -622,7 +622,8 @@ impl Worker {
     }
 
     /// Takes the statements that wait. Those for which journal or ledger have no room wait for the
-    /// next tick. Neither blocks nor locks: whoever sends them does not wait for room in the channel.
+    /// next tick. Neither blocks nor locks: whoever sends them does not wait for room in the
+    /// channel.
     fn take_statements(&mut self, now_ns: u64) {
         let Some((statements, _)) = &self.statements else {
             return;
