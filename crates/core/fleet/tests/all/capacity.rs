@@ -30,6 +30,8 @@ enum Gauge {
     Bent(f64),
     /// What the budget says.
     Mirror,
+    /// The true charge, and in turn that of another battery, which rests.
+    Two(f64),
 }
 
 fn fleet(charge_reading: ChargeReading) -> Fleet {
@@ -82,6 +84,8 @@ impl Bench {
                 let bent = self.soc + by * (std::f64::consts::PI * self.soc).sin();
                 sample.state_of_charge(percent(bent))
             }
+            Gauge::Two(other) if self.step % 2 == 0 => sample.state_of_charge(percent(other)),
+            Gauge::Two(_) => sample.state_of_charge(percent(self.soc)),
             Gauge::Mirror => match self.fleet.is_empty() {
                 true => sample,
                 false => sample.state_of_charge(percent(self.budget().soc.into())),
@@ -244,6 +248,30 @@ fn a_gauge_that_mirrors_our_own_count_teaches_nothing() {
     }
     assert_eq!(bench.budget().learned_capacity_j(), None);
     assert_eq!(bench.budget().capacity_weight.to_bits(), 0);
+}
+
+#[test]
+fn two_batteries_in_turn_and_clocks_that_jump_teach_no_other_capacity() {
+    for other in [0.05, 0.5, 1.0] {
+        let mut bench = Bench::new(0.7, Gauge::Two(other));
+        for _ in 0..10 {
+            bench.drive(0.15);
+            bench.charge();
+        }
+        let learned = bench.learned();
+        println!("beside one at {other}: {learned:.3}");
+        assert!((0.66..=1.0).contains(&learned), "{other}: {learned}");
+    }
+    // Its clock jumps by an hour in the middle of each drive.
+    let mut bench = Bench::new(0.7, Gauge::True);
+    for cycle in 0..12 {
+        bench.drive(0.6);
+        bench.step += 720;
+        let drive = bench.drive(0.15);
+        assert!((drive.soc - 0.15).abs() < 0.1, "cycle {cycle}: {drive:?}");
+        bench.charge();
+    }
+    assert!((bench.learned() / 0.7 - 1.0).abs() < 0.06, "{}", bench.learned());
 }
 
 #[test]
