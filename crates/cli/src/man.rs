@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use anyhow::Context as _;
+use joulebus_files::WholeFolder;
 use joulebus_program::exit::Outcome;
 use joulebus_program::file::write;
 
@@ -22,9 +23,8 @@ pub(crate) struct Args {
 
 /// Writes the manual pages of `program`.
 pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome> {
-    let folder = args.folder.display();
-    std::fs::create_dir_all(&args.folder).with_context(|| format!("cannot make {folder}"))?;
-    let failed = || format!("cannot write the pages into {folder}");
+    let failed = || format!("cannot write the pages into {}", args.folder.display());
+    let mut whole = WholeFolder::begin(&args.folder).with_context(failed)?;
     // A program of its own beside the verbs.
     for program in [program, external::lab()] {
         let mut program = program.disable_help_subcommand(true);
@@ -32,9 +32,10 @@ pub(crate) fn run(args: &Args, program: clap::Command) -> anyhow::Result<Outcome
         let mut pages = Vec::new();
         add_pages(&program, &mut pages).with_context(failed)?;
         for (name, text) in pages {
-            write(&args.folder.join(name), &text)?;
+            write(&whole.path(name).with_context(failed)?, &text)?;
         }
     }
+    whole.keep().with_context(failed)?;
     Ok(Outcome::Done)
 }
 

@@ -9,7 +9,6 @@ use std::time::Instant;
 use anyhow::Context as _;
 use joulebus_capture_format::inspect::inspect;
 use joulebus_capture_format::recover::{RecoverError, Recovery, recover};
-use joulebus_files::disk;
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -74,7 +73,6 @@ struct Written {
 /// Writes and checks the result, which has no name before both are done.
 fn write(input: File, args: &Args, started: Instant) -> anyhow::Result<Written> {
     let written = joulebus_files::create(&args.out, |result| {
-        disk::make_private(result)?;
         let (recovery, result) = recover(input, result)?;
         result.sync_all()?;
         let duration_s = started.elapsed().as_secs_f64();

@@ -4,7 +4,6 @@ mod project;
 
 use std::fmt;
 use std::fs;
-use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
@@ -104,9 +103,9 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     check_empty(&args.folder)?;
     let written = WholeFolder::begin(&args.folder).and_then(|mut whole| {
         for (name, text) in &project.files {
-            whole.write(name, |mut file| file.write_all(text.as_bytes()))?;
+            fs::write(whole.path(name)?, text)?;
         }
-        whole.keep()
+        whole.keep_new()
     });
     written.with_context(|| format!("cannot write {}", args.folder.display()))?;
     let files = project.files.iter().map(|(name, _)| PathBuf::from(name)).collect();

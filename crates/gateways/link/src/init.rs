@@ -1,13 +1,14 @@
 //! `joulebus link init`: writes the files of links between hosts, and their certificates.
 
 use std::fmt;
-use std::fs;
+use std::fs::{self, Permissions};
 use std::io::Write as _;
 use std::net::{IpAddr, Ipv6Addr};
-use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, bail};
+use joulebus_files::WholeFolder;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -93,7 +94,9 @@ pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcom
     if !args.replace {
         connect_to(&worker.endpoint(args.port), &args.out, others)?;
     }
-    let (authority, new_authority) = authority(&args.out)?;
+    let failed = || format!("cannot write into {}", args.out.display());
+    let mut whole = WholeFolder::begin(&args.out).with_context(failed)?;
+    let (authority, new_authority) = authority(&args.out, &mut whole)?;
     let mut reports = Vec::new();
     for host in &hosts {
         let folder = args.out.join(host.name);
@@ -107,16 +110,17 @@ pub(crate) fn run(args: &InitArguments, output: Output) -> anyhow::Result<Outcom
             let identity = authority
                 .sign(host.name, host.address, args.days)
                 .with_context(|| format!("cannot make the certificate of {}", host.name))?;
-            make_private(&folder)?;
-            write(&folder.join("fleet-ca.pem"), &authority.pem, 0o644)?;
-            write(&folder.join(format!("{}.pem", host.name)), &identity.certificate, 0o644)?;
-            write(&folder.join(format!("{}.key", host.name)), &identity.key, 0o600)?;
-            write(&folder.join("link.toml"), &text, 0o644)?;
+            let below = Path::new(host.name);
+            write(&mut whole, &below.join("fleet-ca.pem"), &authority.pem)?;
+            write(&mut whole, &below.join(format!("{}.pem", host.name)), &identity.certificate)?;
+            write(&mut whole, &below.join(format!("{}.key", host.name)), &identity.key)?;
+            write(&mut whole, &below.join("link.toml"), &text)?;
         }
         let address = host.endpoint(args.port);
         let link = host.name.to_owned();
         reports.push(HostReport { link, folder, address, written, worker: is_worker });
     }
+    whole.keep().with_context(failed)?;
     let new = others.iter().zip(&reports[1..]).filter(|(_, report)| report.written);
     let lines: String = new.map(|(host, _)| take(host)).collect();
     let add_to_worker = (!reports[0].written && !lines.is_empty()).then_some(lines);
@@ -145,7 +149,7 @@ fn connect_to(endpoint: &str, folder: &Path, others: &[Host<'_>]) -> anyhow::Res
 }
 
 /// The authority of the folder, made if it has none.
-fn authority(folder: &Path) -> anyhow::Result<(Authority, bool)> {
+fn authority(folder: &Path, whole: &mut WholeFolder) -> anyhow::Result<(Authority, bool)> {
     let (pem, key) = (folder.join("fleet-ca.pem"), folder.join("fleet-ca.key"));
     if !key.exists() && pem.exists() {
         bail!(
@@ -157,9 +161,8 @@ fn authority(folder: &Path) -> anyhow::Result<(Authority, bool)> {
     }
     if !key.exists() {
         let (authority, key_pem) = Authority::make()?;
-        make_private(folder)?;
-        write(&key, &key_pem, 0o600)?;
-        write(&pem, &authority.pem, 0o644)?;
+        write(whole, Path::new("fleet-ca.key"), &key_pem)?;
+        write(whole, Path::new("fleet-ca.pem"), &authority.pem)?;
         return Ok((authority, true));
     }
     let text = joulebus_files::read_to_string(&pem, MAX_BYTES)
@@ -170,25 +173,13 @@ fn authority(folder: &Path) -> anyhow::Result<(Authority, bool)> {
     Ok((opened.with_context(|| format!("{} is damaged", key.display()))?, false))
 }
 
-fn make_private(folder: &Path) -> anyhow::Result<()> {
-    fs::DirBuilder::new()
-        .recursive(true)
-        .mode(0o700)
-        .create(folder)
-        .with_context(|| format!("cannot make {}", folder.display()))
-}
-
-/// Writes a whole file under a name that a reader sees only when it is complete.
-fn write(path: &Path, text: &str, mode: u32) -> anyhow::Result<()> {
-    let mut partial = path.as_os_str().to_owned();
-    partial.push(".new");
-    let mut options = fs::OpenOptions::new();
-    options.write(true).create(true).truncate(true).mode(mode);
-    options
-        .open(&partial)
-        .and_then(|mut file| file.write_all(text.as_bytes()))
-        .and_then(|()| fs::rename(&partial, path))
-        .with_context(|| format!("cannot write {}", path.display()))
+/// Writes a file that only its owner can read. Its new folder is its owner's alone, too.
+fn write(whole: &mut WholeFolder, name: &Path, text: &str) -> anyhow::Result<()> {
+    let failed = || format!("cannot write {}", name.display());
+    let path = whole.path(name).with_context(failed)?;
+    let folder = path.parent().unwrap_or(&path);
+    fs::set_permissions(folder, Permissions::from_mode(0o700)).with_context(failed)?;
+    joulebus_files::replace(&path, |mut file| file.write_all(text.as_bytes())).with_context(failed)
 }
 
 fn head(host: &Host<'_>, which: &str, network: &str) -> String {

@@ -4,7 +4,6 @@
 pub mod disk;
 mod ending;
 pub mod foreign;
-mod several;
 mod whole;
 mod whole_folder;
 
@@ -16,8 +15,7 @@ use std::path::Path;
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 
 pub use ending::{ends_in, without_ending};
-pub use several::Several;
-pub use whole::{check_kind, create, replace};
+pub use whole::{check_kind, create, replace, replace_shared};
 pub use whole_folder::WholeFolder;
 
 /// Reason that a file is refused, as the cause of an [`io::Error`].

@@ -1,26 +1,34 @@
 //! Files that appear when they are whole: a program that fails, or is killed, leaves none of them
 //! half written.
 
-use std::fs::File;
+use std::fs::{self, File};
 use std::io;
 use std::os::fd::AsRawFd as _;
-use std::os::unix::fs::FileExt as _;
+use std::os::unix::fs::{FileExt as _, OpenOptionsExt as _};
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{AtFlags, CWD, Mode, OFlags, RenameFlags, linkat, open, renameat_with};
+use rustix::fs::{
+    AtFlags, CWD, FlockOperation, Mode, OFlags, RenameFlags, flock, linkat, open, renameat_with,
+};
 use rustix::io::Errno;
 
 use crate::{Refused, disk, look};
 
-/// Permissions before the user's mask.
-const MODE: u32 = 0o666;
+/// Permissions before the user's mask: recordings and what is computed of them are their owner's
+/// alone, as they tell where robots were.
+const PRIVATE: u32 = 0o600;
+/// Permissions before the user's mask of what others run: configs, models, programs.
+const SHARED: u32 = 0o666;
+/// The names of files and folders that are not whole yet: this, the process and a number.
+const HIDDEN: &str = ".joulebus-";
 /// Maximum number of bytes that identify the kind of a file.
-const MAX_KIND_BYTES: usize = 9;
+pub(crate) const MAX_KIND_BYTES: usize = 9;
 const MAGIC_BYTES: usize = 4;
 /// Maximum number of temporary names tried beside the target.
 const MAX_NAMES: u32 = 1_000;
 
-/// Writes a new file at `path`. Nothing may exist there, not even a dangling link.
+/// Writes a new file at `path`, which only its owner can read. Nothing may exist there, not even a
+/// dangling link.
 ///
 /// # Errors
 /// [`io::ErrorKind::AlreadyExists`] if something exists, before `write` is called or after it.
@@ -32,14 +40,14 @@ pub fn create<T, E: From<io::Error>>(
     if disk::exists(path) {
         return Err(taken().into());
     }
-    let draft = Draft::begin(path)?;
+    let draft = Draft::begin(path, PRIVATE)?;
     let written = write(&draft.file)?;
     draft.link(path)?;
     Ok(written)
 }
 
-/// Writes a file at `path`, and replaces the file of an earlier run: a regular file that is empty
-/// or begins like the new one. A link is replaced, not followed.
+/// Writes a file at `path`, which only its owner can read, and replaces the file of an earlier run:
+/// a regular file that is empty or begins like the new one. A link is replaced, not followed.
 ///
 /// # Errors
 /// [`Refused::Kind`](crate::Refused::Kind) for a pipe, a device, a directory or a link to one.
@@ -48,11 +56,31 @@ pub fn replace<T, E: From<io::Error>>(
     path: &Path,
     write: impl FnOnce(&File) -> Result<T, E>,
 ) -> Result<T, E> {
+    replace_with(path, PRIVATE, write)
+}
+
+/// Same as [`replace`], for a file that others may run or read as far as the user's mask allows: a
+/// config, a model, a program.
+///
+/// # Errors
+/// Those of [`replace`].
+pub fn replace_shared<T, E: From<io::Error>>(
+    path: &Path,
+    write: impl FnOnce(&File) -> Result<T, E>,
+) -> Result<T, E> {
+    replace_with(path, SHARED, write)
+}
+
+fn replace_with<T, E: From<io::Error>>(
+    path: &Path,
+    mode: u32,
+    write: impl FnOnce(&File) -> Result<T, E>,
+) -> Result<T, E> {
     match look(path) {
         Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
         _ => {}
     }
-    let draft = Draft::begin(path)?;
+    let draft = Draft::begin(path, mode)?;
     let written = write(&draft.file)?;
     draft.replace(path)?;
     Ok(written)
@@ -85,7 +113,7 @@ fn is_of_kind(found: &[u8], beginning: &[u8]) -> bool {
     found.is_empty() || found.starts_with(magic) || (is_tensors(found) && is_tensors(beginning))
 }
 
-fn taken() -> io::Error {
+pub(crate) fn taken() -> io::Error {
     let what = "the file exists and is not overwritten. Name another";
     io::Error::new(io::ErrorKind::AlreadyExists, what)
 }
@@ -93,9 +121,10 @@ fn taken() -> io::Error {
 /// A file that is being written.
 ///
 /// It has no name, so the system removes it however the program ends. If the file system cannot do
-/// that, it has a hidden name beside its target, which is removed when the draft is dropped.
+/// that, it has a [hidden name](beside) beside its target, which is removed when the draft is
+/// dropped.
 #[derive(Debug)]
-pub(crate) struct Draft {
+struct Draft {
     file: File,
     hidden: Option<PathBuf>,
 }
@@ -103,7 +132,6 @@ pub(crate) struct Draft {
 impl Drop for Draft {
     fn drop(&mut self) {
         if let Some(hidden) = &self.hidden {
-            // Any remains are hidden and named after this process.
             let _ = disk::remove_file(hidden);
         }
     }
@@ -111,63 +139,53 @@ impl Drop for Draft {
 
 impl Draft {
     /// Begins the file for `path`.
-    pub(crate) fn begin(path: &Path) -> io::Result<Self> {
-        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
-        match open(folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(MODE)) {
-            Ok(file) => Ok(Self { file: file.into(), hidden: None }),
-            Err(Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL) => Self::begin_named(path),
-            Err(error) => Err(error.into()),
+    fn begin(path: &Path, mode: u32) -> io::Result<Self> {
+        match unnamed(path, mode) {
+            Err(error) if is_unsupported(&error) => Self::begin_named(path, mode),
+            file => Ok(Self { file: file?, hidden: None }),
         }
     }
 
-    fn begin_named(path: &Path) -> io::Result<Self> {
+    fn begin_named(path: &Path, mode: u32) -> io::Result<Self> {
         let (file, hidden) = beside(path, |hidden| {
-            File::options().read(true).write(true).create_new(true).open(hidden)
+            let mut options = File::options();
+            options.read(true).write(true).create_new(true).mode(mode).open(hidden)
         })?;
         Ok(Self { file, hidden: Some(hidden) })
     }
 
-    pub(crate) const fn file(&self) -> &File {
-        &self.file
-    }
-
     /// Gives the file its name, and replaces one of an earlier run, which begins like it.
-    pub(crate) fn replace(self, path: &Path) -> io::Result<()> {
+    fn replace(mut self, path: &Path) -> io::Result<()> {
         let mut beginning = [0; MAX_KIND_BYTES];
         let length = self.file.read_at(&mut beginning, 0)?;
         check_kind(path, &beginning[..length])?;
-        self.rename(path)
-    }
-
-    /// Gives the file its name, which must be free.
-    pub(crate) fn link(mut self, path: &Path) -> io::Result<()> {
-        let Some(hidden) = &self.hidden else {
-            return self.name(path);
-        };
-        match renameat_with(CWD, hidden, CWD, path, RenameFlags::NOREPLACE) {
-            Ok(()) => self.hidden = None,
-            // Linking fails if the name is taken. The hidden name is removed with the draft.
-            Err(Errno::INVAL | Errno::NOSYS) => std::fs::hard_link(hidden, path)?,
-            Err(Errno::EXIST) => return Err(taken()),
-            Err(error) => return Err(error.into()),
-        }
-        Ok(())
-    }
-
-    /// Gives the file its name, and replaces the file that has it.
-    fn rename(mut self, path: &Path) -> io::Result<()> {
         // A power failure must not leave a part of it in the place of the file before.
         self.file.sync_all()?;
         let hidden = match self.hidden.take() {
             Some(hidden) => hidden,
-            None => beside(path, |hidden| self.name(hidden))?.1,
+            None if !disk::exists(path) && self.name(path).is_ok() => return Ok(()),
+            None => {
+                // Locked before it has a name: nobody takes it for one of a process that is gone.
+                let _ = flock(&self.file, FlockOperation::NonBlockingLockExclusive);
+                beside(path, |hidden| self.name(hidden).and_then(|()| self.file.try_clone()))?.1
+            }
         };
         let renamed = disk::rename(&hidden, path);
         if renamed.is_err() {
             self.hidden = Some(hidden);
         }
         renamed
+    }
+
+    /// Gives the file its name, which must be free.
+    fn link(mut self, path: &Path) -> io::Result<()> {
+        let Some(hidden) = &self.hidden else {
+            return self.name(path);
+        };
+        if rename_new(hidden, path)? {
+            self.hidden = None;
+        }
+        Ok(())
     }
 
     /// Gives a file without a name one.
@@ -180,21 +198,83 @@ impl Draft {
     }
 }
 
-/// Creates a file under a free hidden name beside `path`.
-pub(crate) fn beside<T>(
+/// A file without a name in the folder of `path`.
+fn unnamed(path: &Path, mode: u32) -> io::Result<File> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let flags = OFlags::TMPFILE | OFlags::RDWR | OFlags::CLOEXEC;
+    let file = open(folder.unwrap_or(Path::new(".")), flags, Mode::from_raw_mode(mode))?;
+    Ok(file.into())
+}
+
+/// True if the file system has no files without a name.
+fn is_unsupported(error: &io::Error) -> bool {
+    let found = Errno::from_io_error(error);
+    found.is_some_and(|found| matches!(found, Errno::OPNOTSUPP | Errno::ISDIR | Errno::INVAL))
+}
+
+/// Checks that a file can be made beside `path`.
+pub(crate) fn check_beside(path: &Path) -> io::Result<()> {
+    Draft::begin(path, PRIVATE).map(drop)
+}
+
+/// Renames a file to a name that must be free. False if `hidden` stays as its second name.
+pub(crate) fn rename_new(hidden: &Path, path: &Path) -> io::Result<bool> {
+    match renameat_with(CWD, hidden, CWD, path, RenameFlags::NOREPLACE) {
+        Ok(()) => Ok(true),
+        // Linking fails if the name is taken.
+        Err(Errno::INVAL | Errno::NOSYS) => fs::hard_link(hidden, path).map(|()| false),
+        Err(Errno::EXIST) => Err(taken()),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// Creates a file or folder under a free hidden name beside `path`, and locks it for as long as
+/// this process has it open. Removes those whose process was killed: nobody locks them.
+pub(crate) fn beside(
     path: &Path,
-    mut make: impl FnMut(&Path) -> io::Result<T>,
-) -> io::Result<(T, PathBuf)> {
+    mut make: impl FnMut(&Path) -> io::Result<File>,
+) -> io::Result<(File, PathBuf)> {
+    remove_dead(path.parent().filter(|folder| !folder.as_os_str().is_empty()));
     let mut number = 0;
     loop {
         // Not after the file, whose name may be as long as names may be.
-        let name = format!(".joulebus-{}-{number}", std::process::id());
+        let name = format!("{HIDDEN}{}-{number}", std::process::id());
         let hidden = path.with_file_name(name);
         match make(&hidden) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists && number < MAX_NAMES => {
-                number += 1;
+            // Another process may remove it before it is locked.
+            Ok(made) if is_own(&made, &hidden) => return Ok((made, hidden)),
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists || number == MAX_NAMES => {
+                return Err(error);
             }
-            made => return Ok((made?, hidden)),
+            _ => number += 1,
+        }
+    }
+}
+
+/// Locks what has this name. False if another process removes it. Where the file system has no
+/// locks, nobody removes anything.
+fn is_own(made: &File, hidden: &Path) -> bool {
+    let locked = flock(made, FlockOperation::NonBlockingLockExclusive);
+    locked != Err(Errno::WOULDBLOCK)
+        && disk::id(made).is_ok_and(|id| {
+            disk::found_at(hidden).is_ok_and(|there| there.is_some_and(|(there, _)| there == id))
+        })
+}
+
+/// Removes what killed processes have left in a folder under hidden names.
+fn remove_dead(folder: Option<&Path>) {
+    let entries = fs::read_dir(folder.unwrap_or(Path::new("."))).into_iter().flatten();
+    for path in entries.flatten().map(|entry| entry.path()) {
+        let name = path.file_name().and_then(|name| name.to_str()).unwrap_or_default();
+        let numbers = name.strip_prefix(HIDDEN).unwrap_or_default();
+        if numbers.is_empty() || !numbers.bytes().all(|letter| b"0123456789-".contains(&letter)) {
+            continue;
+        }
+        let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+        let Ok(left) = open(&path, flags, Mode::empty()) else { continue };
+        if flock(&left, FlockOperation::NonBlockingLockExclusive).is_ok() {
+            // Whatever stays is looked at again by the next.
+            let _ = if path.is_dir() { fs::remove_dir_all(&path) } else { fs::remove_file(&path) };
         }
     }
 }
@@ -202,9 +282,8 @@ pub(crate) fn beside<T>(
 #[cfg(test)]
 mod tests {
     use std::ffi::OsString;
-    use std::fs;
     use std::io::Write as _;
-    use std::os::unix::fs::symlink;
+    use std::os::unix::fs::{PermissionsExt as _, symlink};
 
     use super::*;
 
@@ -306,7 +385,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out");
         let begin = || {
-            let draft = Draft::begin_named(&path).unwrap();
+            let draft = Draft::begin_named(&path, PRIVATE).unwrap();
             text("it")(&draft.file).unwrap();
             draft
         };
@@ -314,12 +393,47 @@ mod tests {
         assert!(names(folder.path()).is_empty());
         begin().link(&path).unwrap();
         assert!(begin().link(&path).is_err());
-        fs::write(&path, "before").unwrap();
+        fs::write(&path, "it was").unwrap();
         let (one, two) = (begin(), begin());
-        one.rename(&path).unwrap();
-        two.rename(&path).unwrap();
+        one.replace(&path).unwrap();
+        two.replace(&path).unwrap();
         assert_eq!(fs::read_to_string(&path).unwrap(), "it");
-        assert!(begin().rename(&folder.path().join("no/such/folder")).is_err());
+        assert!(begin().replace(&folder.path().join("no/such/folder")).is_err());
         assert_eq!(names(folder.path()), ["out"]);
+    }
+
+    #[test]
+    fn what_killed_processes_left_is_removed_and_what_others_write_or_own_is_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for left in [".joulebus-1-0", ".joulebus-own", ".joulebus-", "joulebus-1-0"] {
+            fs::write(at(left), "half").unwrap();
+        }
+        fs::create_dir(at(".joulebus-1-1")).unwrap();
+        fs::write(at(".joulebus-1-1/one"), "one").unwrap();
+        symlink(at(".joulebus-own"), at(".joulebus-1-2")).unwrap();
+        let (written, hidden) = beside(&at("out"), |hidden| File::create_new(hidden)).unwrap();
+        let (_, second) = beside(&at("out"), |hidden| File::create_new(hidden)).unwrap();
+        drop(written);
+        fs::remove_file(second).unwrap();
+        let own = [".joulebus-", ".joulebus-1-2", ".joulebus-own"].map(OsString::from);
+        let kept = hidden.file_name().unwrap().to_owned();
+        let mut expected: Vec<_> = own.into_iter().chain([kept, "joulebus-1-0".into()]).collect();
+        expected.sort();
+        assert_eq!(names(folder.path()), expected);
+    }
+
+    #[test]
+    fn recordings_are_their_owners_alone_and_configs_as_the_mask_allows() {
+        let folder = tempfile::tempdir().unwrap();
+        let [new, replaced, shared] =
+            ["new", "replaced", "shared"].map(|name| folder.path().join(name));
+        fs::write(&replaced, "").unwrap();
+        let by_mask = fs::metadata(&replaced).unwrap().permissions().mode();
+        create(&new, text("n")).unwrap();
+        replace(&replaced, text("replaced")).unwrap();
+        replace_shared(&shared, text("s")).unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode() & 0o777;
+        assert_eq!([mode(&new), mode(&replaced), mode(&shared)], [0o600, 0o600, by_mask & 0o777]);
     }
 }

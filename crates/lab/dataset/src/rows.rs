@@ -1,11 +1,10 @@
 //! Recorded samples as training rows: the features at one time and the next reading.
 
 use std::collections::BTreeMap;
-use std::fs;
 use std::io::{self, BufWriter, Write as _};
 use std::path::Path;
 
-use joulebus_files::replace;
+use joulebus_files::{WholeFolder, replace};
 use joulebus_predictor::{
     FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features,
 };
@@ -222,8 +221,8 @@ impl Age {
 /// # Errors
 /// The operating system's error.
 pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
-    fs::create_dir_all(directory)?;
-    replace(&directory.join("features.txt"), |mut file| {
+    let mut whole = WholeFolder::begin(directory)?;
+    replace(&whole.path("features.txt")?, |mut file| {
         file.write_all((FEATURE_NAMES.join("\n") + "\n").as_bytes())
     })?;
     let parts = [
@@ -232,7 +231,7 @@ pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
         ("held_out.npy", &dataset.held_out),
     ];
     for (name, rows) in parts {
-        replace(&directory.join(name), |file| {
+        replace(&whole.path(name)?, |file| {
             let mut file = BufWriter::new(file);
             file.write_all(&npy::header("<f4", &[rows.len(), FEATURE_NAMES.len() + 1]))?;
             for row in rows {
@@ -243,7 +242,7 @@ pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
             file.flush()
         })?;
     }
-    Ok(())
+    whole.keep()
 }
 
 fn command(sample: &Sample) -> Option<(f32, f32)> {

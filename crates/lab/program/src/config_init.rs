@@ -12,9 +12,9 @@ use joulebus_dataset::trial::{ColumnMap, Trial, TrialError};
 use joulebus_eval::score::{
     Design, Options, Role, ScoreError, ScoredRows, Subject, score_reported,
 };
-use joulebus_files::Several;
+use joulebus_files::WholeFolder;
 use joulebus_models::load_models;
-use joulebus_predictor::Model;
+use joulebus_predictor::{MAX_MODEL_BYTES, Model};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::file::write;
 use joulebus_program::output::{Output, log_line};
@@ -232,7 +232,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let name = args.name()?;
     let places = Places::new(&args.out, &name);
     places.check(args.train)?;
-    let mut several = Several::default();
+    let failed = || format!("cannot write into {}", args.out.display());
+    let whole = WholeFolder::begin(&args.out).with_context(failed)?;
     for stuck in &recorded.stuck {
         let held = "its readings are held far longer than those of the others";
         log_line(&format!("warning: {stuck}: {held}. They set no hold_max_s"));
@@ -240,28 +241,25 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let fleet = fleet(&name, &recorded, &robots(args, &recorded_robots)?, &files);
     let given = args.given_model()?;
     let draft = platform(&name, &recorded, ChosenModel::new(given.as_deref()), args);
-    check(&name, &draft, &fleet)?;
-    let mut split = None;
+    let read = |platform: &str, trained: Option<&[u8]>| {
+        let refused = "recordings and options contradict each other. Nothing was written";
+        read(&name, (&fleet, platform), (given.as_deref(), trained)).context(refused)
+    };
+    read(&draft, None)?;
+    let (mut split, mut trained) = (None, None);
     if args.train {
-        make(&places.models, &mut several)?;
-        split = train_recordings(&files, &args.columns, &places.model, count)?;
-        if split.is_none() {
+        let Some(made) = train_recordings(&files, &args.columns, &places.model, count)? else {
             return Ok(Outcome::Failed);
-        }
-        several.file(&places.model);
+        };
+        (split, trained) = (Some(made.0), Some(made.1));
     }
     let model = match args.train {
-        true => Some(places.trained_model()),
-        false => given,
+        true => Some(trained_model(&name)),
+        false => given.clone(),
     };
     let chosen = ChosenModel::new(model.as_deref());
-    places.write(&platform(&name, &recorded, chosen, args), &fleet, &mut several)?;
-    if model.is_none() {
-        // For the model of the next command.
-        make(&places.models, &mut several)?;
-    }
-    let mut config = Config::load(&places.fleet)?;
-    let mut models = load_models(&config)?;
+    let mut text = platform(&name, &recorded, chosen, args);
+    let (mut config, mut models) = read(&text, trained.as_deref())?;
     let held_out = match model {
         Some(_) if args.power.is_none() => HeldOut::score(&config, &models, (files, &map), split)?,
         _ => None,
@@ -270,10 +268,10 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if persistence_is_better && args.train {
         // --model states which model is wanted, --train does not.
         let chosen = ChosenModel { path: model.as_deref(), is_below_persistence: true };
-        write(&places.platform, platform(&name, &recorded, chosen, args).as_bytes())?;
-        config = Config::load(&places.fleet)?;
-        models = load_models(&config)?;
+        text = platform(&name, &recorded, chosen, args);
+        (config, models) = read(&text, trained.as_deref())?;
     }
+    write_all(whole, &name, (&fleet, &text), trained.as_deref()).with_context(failed)?;
     let mut warnings: Vec<String> = config.warnings().iter().map(ToString::to_string).collect();
     warnings.extend(model_range::warnings(&config, &models).iter().map(ToString::to_string));
     for warning in &warnings {
@@ -306,40 +304,49 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         warnings,
         next,
     };
-    several.keep();
     report(output, &written, implausible)?;
     Ok(Outcome::Done)
 }
 
-/// Reads the files before they get their names: recordings and options may contradict each other.
-fn check(name: &str, platform: &str, fleet: &str) -> anyhow::Result<()> {
-    let draft = tempfile::tempdir().context("cannot make a directory to check the files in")?;
-    let places = Places::new(draft.path(), name);
-    let mut several = Several::default();
-    places.write(platform, fleet, &mut several)?;
-    let refused = "recordings and options contradict each other. Nothing was written";
-    let config = Config::load(&places.fleet).context(refused)?;
-    load_models(&config).context(refused)?;
-    Ok(())
+/// Reads a fleet's and its platform's text with the model that they name, which has no file yet if
+/// it was trained: recordings and options may contradict each other.
+fn read(
+    name: &str,
+    (fleet, platform): (&str, &str),
+    (given, trained): (Option<&str>, Option<&[u8]>),
+) -> anyhow::Result<(Config, Vec<Model>)> {
+    let of_platform = format!("platforms/{name}.toml");
+    let of_model = format!("platforms/{}", trained_model(name));
+    let mut files = vec![(of_platform.as_str(), platform.as_bytes())];
+    files.extend(trained.map(|bytes| (of_model.as_str(), bytes)));
+    let bytes;
+    if let Some(path) = given.filter(|path| !model_source::is_builtin(Path::new(path))) {
+        bytes = joulebus_files::read(Path::new(path), MAX_MODEL_BYTES as u64)
+            .with_context(|| format!("cannot read {path}"))?;
+        files.push((path, &bytes));
+    }
+    let config = Config::parse_attached(fleet, &files)?;
+    let models = load_models(&config)?;
+    Ok((config, models))
+}
+
+/// The path of the trained model as the platform's file writes it.
+fn trained_model(name: &str) -> String {
+    format!("../models/{name}.safetensors")
 }
 
 struct Places {
     fleet: PathBuf,
-    platforms: PathBuf,
     platform: PathBuf,
-    models: PathBuf,
     model: PathBuf,
 }
 
 impl Places {
     fn new(out: &Path, name: &str) -> Self {
-        let (platforms, models) = (out.join("platforms"), out.join("models"));
         Self {
             fleet: out.join("fleet.toml"),
-            platform: platforms.join(format!("{name}.toml")),
-            model: models.join(format!("{name}.safetensors")),
-            platforms,
-            models,
+            platform: out.join(format!("platforms/{name}.toml")),
+            model: out.join(format!("models/{name}.safetensors")),
         }
     }
 
@@ -357,27 +364,23 @@ impl Places {
             None => Ok(()),
         }
     }
-
-    fn write(&self, platform: &str, fleet: &str, several: &mut Several) -> anyhow::Result<()> {
-        make(&self.platforms, several)?;
-        for (path, text) in [(&self.platform, platform), (&self.fleet, fleet)] {
-            write(path, text.as_bytes())?;
-            several.file(path);
-        }
-        Ok(())
-    }
-
-    /// The trained model's path as the platform's file writes it.
-    fn trained_model(&self) -> String {
-        let name = self.model.file_name().unwrap_or_default();
-        format!("../models/{}", name.to_string_lossy())
-    }
 }
 
-fn make(folder: &Path, several: &mut Several) -> anyhow::Result<()> {
-    several
-        .folder(folder)
-        .with_context(|| format!("cannot make the directory {}", folder.display()))
+/// Writes the files of a fleet and its platform, and the trained model. Without one, its folder is
+/// made for the model of the next command.
+fn write_all(
+    mut whole: WholeFolder,
+    name: &str,
+    (fleet, platform): (&str, &str),
+    trained: Option<&[u8]>,
+) -> anyhow::Result<()> {
+    let model = whole.path(format!("models/{name}.safetensors"))?;
+    if let Some(bytes) = trained {
+        write(&model, bytes)?;
+    }
+    write(&whole.path(format!("platforms/{name}.toml"))?, platform.as_bytes())?;
+    write(&whole.path("fleet.toml")?, fleet.as_bytes())?;
+    Ok(whole.keep_new()?)
 }
 
 /// True if a name of a platform may contain it.

@@ -6,13 +6,12 @@ mod mapping;
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, anyhow, bail};
 use joulebus_capture_format::import::{Imported, Mapping};
 use joulebus_dataset::trial::{BagTrial, BagTrialError, Column, ColumnMap, Trial, is_capture};
-use joulebus_files::{disk, ends_in, foreign, without_ending};
+use joulebus_files::{WholeFolder, disk, ends_in, foreign, without_ending};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
@@ -261,7 +260,6 @@ fn one_robot(path: &Path, map: &ColumnMap) -> anyhow::Result<Vec<Trial>> {
 }
 
 fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>> {
-    let name = args.out.to_string_lossy();
     if ends_in(&args.out, "mcap") {
         let config = args.config.load()?;
         let written = capture::write(&args.out, &config, recordings)?;
@@ -272,17 +270,25 @@ fn write(args: &Args, recordings: Vec<Recording>) -> anyhow::Result<Vec<Written>
         let what = format!("{} recordings cannot be written to one dataset", recordings.len());
         return Err(UsageError(format!("{what}. Name a directory or a capture (.mcap)")).into());
     }
+    let failed = || format!("cannot write {}", args.out.display());
     let places = match is_dataset {
-        true => vec![args.out.clone()],
-        false => places(&args.out, &recordings)?,
+        true => {
+            recordings[0].trial.write_csv(&args.out).with_context(failed)?;
+            vec![args.out.clone()]
+        }
+        false => {
+            let places = places(&args.out, &recordings)?;
+            let mut whole = WholeFolder::begin(&args.out).with_context(failed)?;
+            for (recording, place) in recordings.iter().zip(&places) {
+                let path = whole.path(place.file_name().unwrap_or_default());
+                recording.trial.write_csv(&path.with_context(failed)?).with_context(failed)?;
+            }
+            whole.keep_new().with_context(failed)?;
+            places
+        }
     };
-    if !is_dataset {
-        fs::create_dir_all(&args.out).with_context(|| name.into_owned())?;
-    }
     let mut written = Vec::new();
     for (recording, path) in recordings.iter().zip(places) {
-        let failed = || format!("cannot write {}", path.display());
-        recording.trial.write_csv(&path).with_context(failed)?;
         // Read back to verify the output.
         let again = Trial::read(&path)?;
         written.push(Written {

@@ -74,6 +74,12 @@ impl TrialError {
         Self { rest, ..self }
     }
 
+    /// The same of another path, such as the one that a file gets when it is whole.
+    #[must_use]
+    pub fn at(self, path: &Path) -> Self {
+        Self { path: path.to_owned(), ..self }
+    }
+
     /// Makes the error of a failed operation on a file.
     pub fn io(path: &Path) -> impl Fn(io::Error) -> Self + Copy {
         move |source| Self { source: Some(source), ..Self::new(path, Fault::Io, String::new()) }

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context as _;
 use clap::ValueEnum;
 use joulebus_dataset::trial::{Column, Form, Resample, Resampled, Table};
-use joulebus_files::without_ending;
+use joulebus_files::{WholeFolder, without_ending};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -96,6 +96,11 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         tables = tables.into_iter().flat_map(Table::runs).collect();
     }
     let targets = args.targets(&tables)?;
+    let whole = args.to.map(|_| WholeFolder::begin(&args.out)).transpose();
+    let mut whole = whole.map_err(|error| {
+        UsageError(format!("{} is not a directory: {error}", args.out.display()))
+    })?;
+    let failed = || format!("cannot write into {}", args.out.display());
     let mut files = Vec::with_capacity(tables.len());
     for (mut table, file) in tables.into_iter().zip(targets) {
         let from = table.path().to_owned();
@@ -111,7 +116,11 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             let (made, counts) = table.resampled(how).with_context(refused)?;
             (table, resampled) = (made, Some(counts));
         }
-        table.write(&file)?;
+        let path = match (&mut whole, file.file_name()) {
+            (Some(whole), Some(name)) => whole.path(name).with_context(failed)?,
+            _ => file.clone(),
+        };
+        table.write(&path).map_err(|error| error.at(&file))?;
         files.push(Written {
             from,
             file,
@@ -123,6 +132,9 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             left_out_lines,
             left_out,
         });
+    }
+    if let Some(whole) = whole {
+        whole.keep_new().with_context(failed)?;
     }
     let lost = |file: &Written| {
         let counts = file.resampled;
@@ -162,9 +174,6 @@ impl Args {
             }
             return Ok(vec![self.out.clone()]);
         };
-        std::fs::create_dir_all(&self.out).map_err(|error| {
-            UsageError(format!("{} is not a directory: {error}", self.out.display()))
-        })?;
         let targets: Vec<PathBuf> = tables
             .iter()
             .enumerate()

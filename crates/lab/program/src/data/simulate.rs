@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use anyhow::Context as _;
 use joulebus_dataset::trial::{MAX_ROWS, Trial};
-use joulebus_files::Several;
+use joulebus_files::WholeFolder;
 use joulebus_plant::arena::STEP_S;
 use joulebus_plant::parts::Parts;
 use joulebus_plant::protocol::{Protocol, SAMPLES};
@@ -58,17 +58,14 @@ struct FileReport {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    let mut several = Several::default();
-    several
-        .folder(&args.directory)
-        .with_context(|| format!("{}: cannot be made", args.directory.display()))?;
+    let failed = || format!("cannot write into {}", args.directory.display());
+    let mut whole = WholeFolder::begin(&args.directory).with_context(failed)?;
     let mut files = Vec::new();
     let mut write = |trial: &Trial, stem: &str| -> anyhow::Result<()> {
-        let path = args.directory.join(format!("{stem}.npy"));
-        trial.to_table().write(&path)?;
-        several.file(&path);
+        let name = format!("{stem}.npy");
+        trial.to_table().write(&whole.path(&name).with_context(failed)?)?;
         files.push(FileReport {
-            file: path.display().to_string(),
+            file: args.directory.join(name).display().to_string(),
             robot: trial.robot_name().unwrap_or_default().to_owned(),
             rows: trial.rows(),
             duration_s: trial.rows() as f64 * STEP_S,
@@ -83,7 +80,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for (trial, robot) in run.trials.iter().zip(1..) {
         write(trial, &scenario::file_stem(robot))?;
     }
-    several.keep();
+    whole.keep_new().with_context(failed)?;
     output.report(&SimulateReport {
         simulated: true,
         directory: args.directory.display().to_string(),

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_files::Several;
+use joulebus_files::WholeFolder;
 use joulebus_model_files::{to_arrays, to_npz, to_onnx, to_python};
 use joulebus_predictor::Network;
 use joulebus_program::exit::{Outcome, UsageError};
@@ -102,23 +102,19 @@ fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<u
 /// Writes one file per array into an empty directory, so that no array of another model is among
 /// them.
 fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
-    let failed = || format!("cannot make the directory {}", folder.display());
-    // Some of the arrays are no model.
-    let mut several = Several::default();
-    several.folder(folder).with_context(failed)?;
-    let is_used = fs::read_dir(folder).with_context(failed)?.next().is_some();
+    let failed = || format!("cannot write into {}", folder.display());
+    let is_used = folder.exists() && fs::read_dir(folder).with_context(failed)?.next().is_some();
     if is_used {
         let what = format!("{} is not empty", folder.display());
         return Err(UsageError(format!("{what}. Name a new directory")).into());
     }
+    let mut whole = WholeFolder::begin(folder).with_context(failed)?;
     let mut written = 0;
     for (name, bytes) in to_arrays(network)? {
-        let path = folder.join(format!("{name}.npy"));
-        write(&path, &bytes)?;
-        several.file(&path);
+        write(&whole.path(format!("{name}.npy")).with_context(failed)?, &bytes)?;
         written += bytes.len();
     }
-    several.keep();
+    whole.keep_new().with_context(failed)?;
     Ok(written)
 }
 

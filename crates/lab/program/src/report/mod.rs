@@ -9,9 +9,8 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::{Recording, read_recordings};
-use joulebus_files::Several;
+use joulebus_files::{WholeFolder, replace};
 use joulebus_program::exit::Outcome;
-use joulebus_program::file::write;
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::platform::platform;
 use joulebus_report::{Document, Recorded, Simulated, SimulatedReport, files, recorded, simulated};
@@ -27,29 +26,23 @@ pub(crate) use arguments::Args;
 const SIMULATED_SEED: u64 = 1;
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    // Created first, so that an invalid directory fails before the evaluation.
-    let mut several = Several::default();
-    several
-        .folder(&args.out)
-        .with_context(|| format!("cannot make the directory {}", args.out.display()))?;
+    // Begun first, so that an invalid directory fails before the evaluation.
+    let failed = || format!("cannot write into {}", args.out.display());
+    let mut whole = WholeFolder::begin(&args.out).with_context(failed)?;
     let (document, implausible) =
-        if args.simulated { (simulate(args)?, Vec::new()) } else { evaluate(args)? };
+        if args.simulated { (simulate(args, &mut whole)?, Vec::new()) } else { evaluate(args)? };
     log_line("rendering the report");
     for file in files(&document)? {
-        let path = args.out.join(file.name);
-        let is_new = !path.exists();
-        write(&path, file.text.as_bytes())?;
-        if is_new {
-            several.file(&path);
-        }
+        replace(&whole.path(file.name)?, |mut out| out.write_all(file.text.as_bytes()))
+            .with_context(failed)?;
     }
-    several.keep();
+    whole.keep().with_context(failed)?;
     log_line(&format!("written: {}", args.out.join("report.html").display()));
     judgement::report(output, &document, implausible)?;
     Ok(Outcome::Done)
 }
 
-fn simulate(args: &Args) -> anyhow::Result<Document> {
+fn simulate(args: &Args, whole: &mut WholeFolder) -> anyhow::Result<Document> {
     let mut experiment = Simulated::new(args.seed.unwrap_or(SIMULATED_SEED));
     (experiment.samples, experiment.robot_steps) = (args.samples, args.samples);
     experiment.draws = args.draws;
@@ -67,7 +60,8 @@ fn simulate(args: &Args) -> anyhow::Result<Document> {
         log_line("");
     }
     let SimulatedReport { document, network, .. } = report?;
-    write(&args.out.join("network.safetensors"), &network.to_safetensors()?)?;
+    let bytes = network.to_safetensors()?;
+    replace(&whole.path("network.safetensors")?, |mut out| out.write_all(&bytes))?;
     Ok(document)
 }
 

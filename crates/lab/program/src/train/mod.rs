@@ -99,18 +99,18 @@ fn simulated(sim: &Sim, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-/// Trains on files of recordings that were judged before, by the default recipe. Returns the split,
-/// or none if the run was interrupted. A few trials are split in time, because there is none to
-/// hold out.
+/// Trains on files of recordings that were judged before, by the default recipe. Returns the split
+/// and the bytes of the model that is named after `out`, or none if the run was interrupted. A few
+/// trials are split in time, because there is none to hold out.
 ///
 /// # Errors
-/// The recordings cannot be read or are too few, or the model cannot be written.
+/// The recordings cannot be read or are too few.
 pub(crate) fn train_recordings(
     files: &[PathBuf],
     columns: &ColumnArguments,
     out: &std::path::Path,
     count: usize,
-) -> anyhow::Result<Option<Split>> {
+) -> anyhow::Result<Option<(Split, Vec<u8>)>> {
     trials::Args::new(files, columns, out, count).train()
 }
 

@@ -72,16 +72,38 @@ impl RunArguments {
         dataset: &Dataset,
         settings: &TrainSettings,
     ) -> anyhow::Result<Option<Trained>> {
-        let stop = Stop::on_signals()?;
         let saved_at = checkpoint_path(&self.out);
-        let mut training = self.begin(dataset, settings, &saved_at)?;
+        let Some(trained) = self.compute(dataset, settings, Some(&saved_at))? else {
+            return Ok(None);
+        };
+        write(&self.out, &trained.network.to_safetensors()?)?;
+        // The checkpoint of a finished run is not needed.
+        let _ = std::fs::remove_file(&saved_at);
+        Ok(Some(trained))
+    }
+
+    /// Trains, with checkpoints in this file. None if the run was interrupted.
+    pub(super) fn compute(
+        &self,
+        dataset: &Dataset,
+        settings: &TrainSettings,
+        saved_at: Option<&Path>,
+    ) -> anyhow::Result<Option<Trained>> {
+        let stop = Stop::on_signals()?;
+        let mut training = self.begin(dataset, settings, saved_at)?;
         let (start, before) = (Instant::now(), training.epochs().len());
         let mut saved = Instant::now();
         while !training.is_done() {
             let epoch = training.epoch()?;
             progress(epoch, settings.max_epochs, start, before);
+            let Some(saved_at) = saved_at else {
+                if stop.is_asked() {
+                    return Ok(None);
+                }
+                continue;
+            };
             if stop.is_asked() {
-                write(&saved_at, &training.saved())?;
+                write(saved_at, &training.saved())?;
                 let (at, made) = (saved_at.display(), epoch.number);
                 log_line(&format!(
                     "interrupted after {made} epochs, checkpoint saved in {at}. Continue with \
@@ -90,29 +112,25 @@ impl RunArguments {
                 return Ok(None);
             }
             if saved.elapsed() >= SAVE_EVERY {
-                write(&saved_at, &training.saved())?;
+                write(saved_at, &training.saved())?;
                 saved = Instant::now();
             }
         }
         if std::io::stderr().is_terminal() {
             log_line("");
         }
-        let trained = training.finish()?;
-        write(&self.out, &trained.network.to_safetensors()?)?;
-        // The checkpoint of a finished run is not needed.
-        let _ = std::fs::remove_file(&saved_at);
-        Ok(Some(trained))
+        Ok(Some(training.finish()?))
     }
 
     fn begin(
         &self,
         dataset: &Dataset,
         settings: &TrainSettings,
-        saved_at: &Path,
+        saved_at: Option<&Path>,
     ) -> anyhow::Result<Training> {
-        if !self.resume {
+        let Some(saved_at) = saved_at.filter(|_| self.resume) else {
             return Ok(Training::new(dataset, settings, self.threads)?);
-        }
+        };
         let at = saved_at.display();
         let saved = match joulebus_files::read(saved_at, MAX_SAVED_BYTES) {
             Ok(saved) => saved,

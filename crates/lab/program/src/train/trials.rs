@@ -143,12 +143,14 @@ impl Args {
         ]
     }
 
-    /// Trains without a report. Returns the split, or none if the run was interrupted.
-    pub(super) fn train(&self) -> anyhow::Result<Option<Split>> {
-        self.run.check()?;
+    /// Trains without a report or a file. Returns the split and the bytes of the model, or none if
+    /// the run was interrupted.
+    pub(super) fn train(&self) -> anyhow::Result<Option<(Split, Vec<u8>)>> {
         let (dataset, .., recipe) = self.prepare()?;
-        let trained = self.run.train(&dataset, &recipe.training)?;
-        Ok(trained.map(|_| recipe.split))
+        let Some(trained) = self.run.compute(&dataset, &recipe.training, None)? else {
+            return Ok(None);
+        };
+        Ok(Some((recipe.split, trained.network.to_safetensors()?)))
     }
 
     /// The rows, how they are split, what is implausible, and the recipe with the features that the
