@@ -4,7 +4,9 @@ mod path_file;
 mod point;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::RangeInclusive;
 use std::path::PathBuf;
+use std::str::FromStr;
 use std::time::Duration;
 
 use anyhow::anyhow;
@@ -31,6 +33,9 @@ const START_TIMEOUT: Duration = Duration::from_secs(2);
 /// Timeout for what pauses have cost, beside a worker's answer.
 const BUDGET_TIMEOUT: Duration = Duration::from_millis(500);
 
+/// Maximum number of robots to compare.
+const MAX_RANKED: usize = 100_000;
+
 /// Moments along a trip.
 const MOMENTS: usize = 48;
 
@@ -44,7 +49,7 @@ const MOMENTS: usize = 48;
     joulebus ask --robot 7 --path p.csv                     energy, what is left, whether it suffices\n  \
     joulebus ask --robot 7 --path p.csv --return dock       and back to where the path begins\n  \
     joulebus ask --robot 7 --path p.csv --return 1.5,-0.2 --format json\n  \
-    joulebus ask --rank 7,9,12 --path p.csv                 the cheapest first\n  \
+    joulebus ask --rank 7,9,20-29 --path p.csv              the cheapest first, also of `all`\n  \
     joulebus ask --rank 7,50009 --idle 60 --config north.toml --config south.toml   of two fleets\n  \
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
     joulebus ask --robot 7 --path p.csv --through worker    computed by the worker\n\n\
@@ -87,10 +92,10 @@ pub(crate) struct Args {
     /// The robot
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
-    /// Several robots. The answer lists the best first: by verdict, those without doubt before
-    /// others, then by energy
+    /// Several robots: ids, ranges as 0-19, or all. The answer lists the best first: by verdict,
+    /// those without doubt before others, then by energy
     #[arg(long, value_name = "ID,…", value_delimiter = ',')]
-    rank: Vec<u32>,
+    rank: Vec<Ranked>,
     /// Follow this path (CSV, an order of VDA 5050, or a nav_msgs/Path as JSON)
     #[arg(long, value_name = "FILE")]
     path: Option<PathBuf>,
@@ -155,7 +160,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         path.tolerance_m = args.tolerance;
     }
     let simplified = path.as_ref().and_then(Path::simplified);
-    let (questions, missing) = divide(&configs, args.question(path))?;
+    let (questions, missing) = divide(&configs, args.question(path, &configs)?)?;
     for (config, question) in &questions {
         refuse_too_fast(config, &question.plan)?;
     }
@@ -247,9 +252,45 @@ fn has(config: &Config, robot: u32) -> bool {
     platforms.any(|platform| platform.robots.iter().any(|ids| ids.contains(&robot)))
 }
 
+/// Robots to compare.
+#[derive(Debug, Clone)]
+enum Ranked {
+    /// Those of the configs.
+    All,
+    Ids(RangeInclusive<u32>),
+}
+
+impl FromStr for Ranked {
+    type Err = &'static str;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let (first, last) = text.split_once('-').unwrap_or((text, text));
+        match (text, first.parse(), last.parse()) {
+            ("all", ..) => Ok(Self::All),
+            (_, Ok(first), Ok(last)) if first <= last => Ok(Self::Ids(first..=last)),
+            _ => Err("allowed are ids, ranges such as 0-19, and all"),
+        }
+    }
+}
+
 impl Args {
-    fn question(&self, path: Option<Path>) -> Question {
-        let robots = self.robot.iter().chain(&self.rank).copied().collect();
+    /// The robots that are asked about.
+    fn robots(&self, configs: &[Config]) -> Result<Vec<u32>, UsageError> {
+        let platforms = || configs.iter().flat_map(|config| &config.settings().platforms);
+        let all = || platforms().flat_map(|platform| platform.robots.iter().cloned());
+        let ranked = self.rank.iter().flat_map(|ranked| match ranked {
+            Ranked::All => all().collect(),
+            Ranked::Ids(ids) => vec![ids.clone()],
+        });
+        let ids: Vec<u32> = ranked.flatten().chain(self.robot).take(MAX_RANKED + 1).collect();
+        match ids.len() <= MAX_RANKED {
+            true => Ok(ids),
+            false => Err(UsageError(format!("--rank compares at most {MAX_RANKED} robots"))),
+        }
+    }
+
+    fn question(&self, path: Option<Path>, configs: &[Config]) -> Result<Question, UsageError> {
+        let robots = self.robots(configs)?;
         let plan = match path {
             Some(path) => {
                 let begin = path.points[0];
@@ -263,7 +304,7 @@ impl Args {
         };
         // In shared memory the powers of a long path leave no room for them.
         let moments = if self.rank.is_empty() && !self.power { MOMENTS } else { 0 };
-        Question { plan, coverage: self.coverage, power: self.power, moments }
+        Ok(Question { plan, coverage: self.coverage, power: self.power, moments })
     }
 
     /// Answers here, from shared memory.

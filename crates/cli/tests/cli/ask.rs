@@ -98,7 +98,7 @@ fn a_running_fleet_answers_what_a_plan_costs_and_which_robot_does_it_for_the_lea
     let mean_j = number(&answer["energy"]["mean_j"]);
     assert!((sum_j - mean_j).abs() < 1e-3 * mean_j, "{sum_j} {mean_j}");
 
-    let ranked = ask(&fleet, "--rank 0,3,2 --path FILE");
+    let ranked = ask(&fleet, "--rank 0,2-3 --path FILE");
     let answers = ranked["answers"].as_array().unwrap();
     let of = |name: &str| -> Vec<f64> {
         let found = answers.iter().map(|answer| number(&answer[name]));
