@@ -258,7 +258,9 @@ impl Files {
         };
         let from_ns = *open.from_ns.get_or_insert(log_ns);
         let is_long = log_ns.saturating_sub(from_ns) >= self.options.max_file_ns;
-        is_long || open.writer.bytes() >= self.options.max_file_bytes
+        is_long
+            || open.writer.bytes() >= self.options.max_file_bytes
+            || open.writer.index_entries() >= self.options.max_index_entries
     }
 
     fn open(&mut self) -> Result<(), WriteError> {
@@ -581,6 +583,21 @@ mod tests {
         assert_eq!(names(&files), ["run_7.mcap"]);
         let first = std::fs::read_to_string(folder.path().join("run_1.mcap"));
         assert_eq!(first.unwrap(), "somebody's");
+    }
+
+    #[test]
+    fn a_file_whose_index_would_take_too_much_memory_is_followed_by_the_next() {
+        let folder = tempfile::tempdir().unwrap();
+        let target = Target::File(folder.path().join("run.mcap"));
+        let options = Options { max_index_entries: 2, ..Options::default() };
+        let mut files = Files::begin(target, Attachments::default(), options).unwrap();
+        for second in 0..7 {
+            let message = Message::of::<Ticks>(TickHeader::default(), Vec::new());
+            files.take(item(second * 1_000_000_000, message)).unwrap();
+        }
+        files.end().unwrap();
+        let messages = files.written().iter().map(|(_, of)| of.messages).collect::<Vec<_>>();
+        assert_eq!(messages, [3, 3, 1], "the index of a chunk counts when it is written");
     }
 
     #[test]

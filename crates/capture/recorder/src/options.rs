@@ -31,6 +31,9 @@ pub struct Options {
     /// Maximum duration of a file, ns. Then the next file begins. A file's index is kept in memory
     /// until its end: about 30 MB per hour.
     pub max_file_ns: u64,
+    /// Maximum entries of a file's index, some 20 bytes each. Then the next file begins: with a
+    /// channel for each of a thousand robots it would grow by gigabytes an hour.
+    pub max_index_entries: u64,
     /// If the file exists, start the next part that does not, instead of an error.
     pub resume: bool,
     /// Keep the last seconds in memory instead of writing everything.
@@ -50,6 +53,7 @@ impl fmt::Debug for Options {
             .field("channels", &self.channels)
             .field("max_file_bytes", &self.max_file_bytes)
             .field("max_file_ns", &self.max_file_ns)
+            .field("max_index_entries", &self.max_index_entries)
             .field("resume", &self.resume)
             .field("snapshot", &self.snapshot)
             .field("queue_bytes", &self.queue_bytes)
@@ -78,6 +82,7 @@ impl Default for Options {
             choose: Arc::new(|_| true),
             max_file_bytes: u64::MAX,
             max_file_ns: 3_600_000_000_000,
+            max_index_entries: 8 << 20,
             resume: false,
             snapshot: None,
             queue_bytes: 128 << 20,

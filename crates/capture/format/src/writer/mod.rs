@@ -59,6 +59,8 @@ pub struct Writer<W: Write> {
     messages: u64,
     encoded: u64,
     bytes: Arc<AtomicU64>,
+    /// Entries of the index: one for each channel in each chunk.
+    index_entries: u64,
     open: OpenChunk,
     /// Refused messages by topic.
     refused: BTreeMap<String, u64>,
@@ -162,6 +164,7 @@ impl<W: Write> Writer<W> {
             messages: 0,
             encoded: 0,
             bytes,
+            index_entries: 0,
             open: OpenChunk::default(),
             refused: BTreeMap::new(),
             failed: false,
@@ -244,6 +247,7 @@ impl<W: Write> Writer<W> {
         flushed.map_err(failed)?;
         self.messages += self.open.messages;
         self.encoded += self.open.encoded;
+        self.index_entries += self.open.by_channel.len() as u64;
         (self.open.messages, self.open.encoded) = (0, 0);
         self.open.by_channel.clear();
         Ok(())
@@ -289,6 +293,12 @@ impl<W: Write> Writer<W> {
     /// Bytes of the file so far, without the open chunk.
     pub fn bytes(&self) -> u64 {
         self.bytes.load(Ordering::Relaxed)
+    }
+
+    /// Entries of the file's index, which stays in memory until the end: one for each channel in each
+    /// chunk, some 20 bytes.
+    pub const fn index_entries(&self) -> u64 {
+        self.index_entries
     }
 
     /// Writes the open chunk to the file if it spans [`CaptureSettings::chunk_ns`] at `now_ns`
