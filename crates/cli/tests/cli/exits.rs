@@ -9,7 +9,7 @@ use crate::captures::capture;
 use crate::fleet::{Fleet, code, is_built, joulebus, output, stderr, stdout};
 
 /// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
-const CASES: &[(i32, &str)] = &[
+pub(crate) const CASES: &[(i32, &str)] = &[
     (2, "demo --robots 0"),
     (0, "new controller NEW"),
     (1, "new planner /proc/new"),
@@ -55,6 +55,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "ask --config FLEET --robot 1 --idle 5 --return dock"),
     (2, "ask --config FLEET --robot 1 --idle 5 --power"),
     (2, "ask --config FLEET --rank 1,2 --path JUNK --power"),
+    (2, "ask --config FLEET --rank 3-1 --idle 5"),
     (2, "ask --config JUNK --robot 1 --idle 5"),
     (0, "info CAPTURE"),
     (1, "info JUNK"),
@@ -72,6 +73,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "serve --token-file JUNK"),
     (2, "serve --http --port 9000"),
     (2, "serve --http --per-robot"),
+    (0, "bridge mqtt --robots agv=1 --write NEW"),
     (2, "bridge"),
     (2, "link"),
     (0, "link init base edge-1 --out NEW"),
@@ -79,6 +81,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "link JUNK --format csv"),
     (2, "bridge JUNK --format csv"),
     (0, "import CAPTURE -o NEW"),
+    (0, "import TRIAL -o NEW.mcap"),
     (1, "import JUNK -o NEW"),
     (1, "import CUT -o NEW"),
     (2, "import CAPTURE"),
@@ -102,6 +105,7 @@ const CASES: &[(i32, &str)] = &[
     (3, "doctor CUT"),
     (0, "config init --from TRIAL -o NEW"),
     (0, "config init --power 30-200 --speed 1.2 --battery-wh 480 -o NEW"),
+    (0, "config init --from TRIAL --train -o NEW"),
     (1, "config init --from JUNK -o NEW"),
     (2, "config init"),
     (0, "config check FLEET"),
@@ -112,6 +116,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "config explain tick.rate"),
     (0, "config schema link"),
     (2, "config schema links"),
+    (0, "train trials TRIAL --split time -o NEW"),
     (1, "train trials JUNK -o NEW"),
     (2, "train trials TRIAL"),
     (1, "train trials TRIAL --split time --threads 18446744073709551615 -o NEW"),
@@ -133,6 +138,7 @@ const CASES: &[(i32, &str)] = &[
     (2, "calibrate JUNK --false-alarms 1/day"),
     (1, "calibrate CAPTURE --false-alarms 1/day --robots 20 -o NEW"),
     (0, "calibrate CAPTURE --false-alarms 1000000/hour --robots 1 -o NEW"),
+    (0, "report TRIAL -o NEW"),
     (2, "report TRIAL"),
     (2, "bench nothing"),
     (2, "mission --hours 0"),
@@ -164,7 +170,7 @@ const MODEL: &str =
     concat!(env!("CARGO_MANIFEST_DIR"), "/../../configs/models/gternal-sim.safetensors");
 
 /// Writes a file of text, a capture and one that is cut short.
-fn prepare(fleet: &Fleet) {
+pub(crate) fn prepare(fleet: &Fleet) {
     fs::write(fleet.path("junk"), "hello\n").unwrap();
     fleet.recording("trial.csv", 300);
     let (whole, _) = capture(fleet, 300);
@@ -172,8 +178,8 @@ fn prepare(fleet: &Fleet) {
     fs::write(fleet.path("cut.mcap"), &bytes[..bytes.len() * 2 / 3]).unwrap();
 }
 
-/// The file that a word names; `new` for NEW.
-fn file(fleet: &Fleet, word: &str, new: &Path) -> PathBuf {
+/// The file that a word names; `new` for NEW, with an ending if the word has one.
+pub(crate) fn file(fleet: &Fleet, word: &str, new: &Path) -> PathBuf {
     match word {
         "MODEL" => MODEL.into(),
         "TRIAL" => fleet.path("trial.csv"),
@@ -181,8 +187,10 @@ fn file(fleet: &Fleet, word: &str, new: &Path) -> PathBuf {
         "CUT" => fleet.path("cut.mcap"),
         "JUNK" | "THERE" => fleet.path("junk"),
         "FLEET" => fleet.config(),
-        "NEW" => new.to_owned(),
-        word => word.into(),
+        word => match word.strip_prefix("NEW") {
+            Some(ending) => format!("{}{ending}", new.display()).into(),
+            None => word.into(),
+        },
     }
 }
 
@@ -261,6 +269,20 @@ pub(crate) fn below(words: &[String]) -> Vec<String> {
     names.filter(|name| *name != "help").map(str::to_owned).collect()
 }
 
+/// True if a row of a table calls this subcommand.
+pub(crate) fn calls(row: &str, verb: &str) -> bool {
+    row == verb || row.starts_with(&format!("{verb} "))
+}
+
+/// All subcommands without others below them.
+pub(crate) fn leaves() -> Vec<String> {
+    let all = subcommands();
+    let leaves = all.iter().filter(|words| below(words).is_empty());
+    let leaves: Vec<String> = leaves.map(|words| words.join(" ")).collect();
+    assert!(leaves.len() > 25, "{leaves:?}");
+    leaves
+}
+
 /// All subcommands and theirs, as the words of a call.
 pub(crate) fn subcommands() -> Vec<Vec<String>> {
     let mut found = vec![Vec::new()];
@@ -278,13 +300,8 @@ pub(crate) fn subcommands() -> Vec<Vec<String>> {
 
 #[test]
 fn the_table_has_every_subcommand() {
-    let all = subcommands();
-    let leaves = all.iter().filter(|words| below(words).is_empty());
-    let leaves: Vec<String> = leaves.map(|words| words.join(" ")).collect();
-    assert!(leaves.len() > 25, "{leaves:?}");
-    for verb in leaves {
-        let is_of = |case: &str| case == verb || case.starts_with(&format!("{verb} "));
-        assert!(CASES.iter().any(|(_, case)| is_of(case)), "{verb}");
+    for verb in leaves() {
+        assert!(CASES.iter().any(|(_, case)| calls(case, &verb)), "{verb}");
     }
 }
 

@@ -14,6 +14,7 @@ mod exits;
 mod external;
 mod fleet;
 mod from_recordings;
+mod killed;
 mod live;
 mod model;
 mod new;

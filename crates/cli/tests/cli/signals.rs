@@ -10,12 +10,12 @@ use joulebus_testkit::{end_signals, eventually, ignores};
 use rustix::process::Signal;
 
 use crate::captures::capture;
-use crate::exits::{below, subcommands};
+use crate::exits::{calls, leaves, subcommands};
 use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
 
 /// Subcommands that go on until a signal, and a line that they print once they run. Their exit code
 /// is 0, but for training: the model is not made, the checkpoint is. Words in capitals are files.
-const RUNS: [(&str, &str); 17] = [
+pub(crate) const RUNS: [(&str, &str); 17] = [
     ("demo --robots 2 --no-capture --format json", "  samples "),
     ("run --config FLEET", "ready:"),
     ("run --record FILE --config FLEET", "ready:"),
@@ -53,7 +53,7 @@ const ENDS: &str = "ask, battery, link init, info, recover, import, data info, d
     model info, model import, model export, model compare, completions, man, new";
 
 /// The command of a row, with its input files created.
-fn command(fleet: &Fleet, row: &str) -> Command {
+pub(crate) fn command(fleet: &Fleet, row: &str) -> Command {
     let file = |name: &str| -> PathBuf {
         match name {
             "FLEET" => fleet.config(),
@@ -166,13 +166,9 @@ fn files_below(folder: &Path) -> Vec<PathBuf> {
 #[test]
 fn each_verb_is_in_one_of_the_tables_of_what_signals_do() {
     let all = subcommands();
-    let leaves = all.iter().filter(|words| below(words).is_empty());
-    let leaves: Vec<String> = leaves.map(|words| words.join(" ")).collect();
-    assert!(leaves.len() > 25, "{leaves:?}");
-    let is_of = |verb: &str, row: &str| row == verb || row.starts_with(&format!("{verb} "));
-    for verb in &leaves {
-        let runs = RUNS.iter().any(|(row, _)| is_of(verb, row));
-        let computes = COMPUTES.iter().any(|row| is_of(verb, row));
+    for verb in &leaves() {
+        let runs = RUNS.iter().any(|(row, _)| calls(row, verb));
+        let computes = COMPUTES.iter().any(|row| calls(row, verb));
         let ends = ENDS.split(", ").any(|row| row == verb);
         let tables = [runs, computes, ends].into_iter().filter(|is| *is).count();
         assert_eq!(tables, 1, "{verb}: {runs} {computes} {ends}");
@@ -181,7 +177,7 @@ fn each_verb_is_in_one_of_the_tables_of_what_signals_do() {
     let rows = runs.chain(COMPUTES.iter().copied()).chain(ENDS.split(", "));
     for row in rows {
         // A verb may run by itself and have verbs, as `link` does.
-        let is_listed = all.iter().any(|words| is_of(&words.join(" "), row));
+        let is_listed = all.iter().any(|words| calls(row, &words.join(" ")));
         assert!(is_listed, "{row} is no verb");
     }
 }
