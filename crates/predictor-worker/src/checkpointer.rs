@@ -14,11 +14,11 @@ use joulebus_fleet::StatedBattery;
 use joulebus_wire::{Budgets, Diagnostics, DropCounts, DropReason, Forecasts};
 
 use crate::checkpoint::{Checkpoint, SentErrors};
+use crate::error::OpenError;
 use crate::keyframes::{KeyframeOrders, KeyframeSender};
 use crate::ledger_files::{LedgerFileError, LedgerFiles};
 use crate::save_schedule::SaveSchedule;
 use crate::state_directory::checkpoint_path;
-use crate::worker::OpenError;
 
 pub(crate) const THREAD: &str = "joulebus-checkpointer";
 /// Stated batteries that wait for the checkpointer, at most.

@@ -3,6 +3,7 @@
 
 mod checkpoint;
 mod checkpointer;
+mod error;
 mod journal;
 mod keyframes;
 mod ledger_files;
@@ -18,9 +19,10 @@ mod tick_pool;
 mod worker;
 
 pub use checkpoint::LearnedCapacity;
+pub use error::OpenError;
 pub use joulebus_fleet::{RefusalLog, RefusedSamples};
 pub use ledger_files::{LedgerFileError, learned_capacities};
 pub use report::{Parts, Report};
 pub use standby::PermitOver;
 pub use tick_pool::{TickPool, TickPoolError};
-pub use worker::{OpenError, RunError, Worker};
+pub use worker::{RunError, Worker};

@@ -7,20 +7,20 @@ use std::{io, mem};
 
 use hdrhistogram::Histogram;
 use joulebus_bus::{
-    Background, Bus, CapacityError, DomainError, FilesRemoved, JoinError, Ports, ReceiveError,
-    SampleReader, SchedulingError, ThreadWatch, WaitError, Waiter, WorkerLock, WorkerLockError,
-    check_capacity, clock, process_id, schedule_process, set_timer_slack, touch_own_memory,
+    Background, Bus, FilesRemoved, Ports, ReceiveError, SampleReader, ThreadWatch, WaitError,
+    Waiter, WorkerLock, check_capacity, clock, process_id, schedule_process, set_timer_slack,
+    touch_own_memory,
 };
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, RefusalLog, Schedule, TickIntake};
-use joulebus_settings::{Policy, SettingsError};
+use joulebus_settings::Policy;
 use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement, tick_flag};
 
 use crate::checkpoint::SentErrors;
 use crate::checkpointer::{self, Failures, StatedBatteries, THREAD as CHECKPOINTER, read_ledger};
+use crate::error::OpenError;
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
-use crate::ledger_files::LedgerFileError;
 use crate::outbox::Outbox;
 use crate::pause;
 use crate::report::{Parts, Report, by_name};
@@ -29,10 +29,10 @@ use crate::source_ports::SourcePorts;
 use crate::standby::backlog::Held;
 use crate::standby::follow::Following;
 use crate::standby::watch::{self, CurrentPermit, PermitOver};
-use crate::tick_pool::{TickPool, TickPoolError};
+use crate::tick_pool::TickPool;
 use joulebus_connect::standby::{Permit, PermitError, Places, SavedState};
 use joulebus_latency::{Spread, histogram};
-use joulebus_models::{ModelsError, load_models};
+use joulebus_models::load_models;
 
 /// Interval at which a standby worker checks its permit, ns.
 const PERMIT_EVERY_NS: u64 = watch::READ_EVERY.as_nanos() as u64;
@@ -135,45 +135,6 @@ impl Phase {
             Self::Leading { renewal, .. } | Self::Over { renewal, .. } => Some(renewal),
         }
     }
-}
-
-/// Errors of starting a worker.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum OpenError {
-    /// The config's domain is invalid.
-    #[error(transparent)]
-    Domain(#[from] DomainError),
-    /// A model could not be loaded.
-    #[error(transparent)]
-    Models(#[from] ModelsError),
-    /// The settings are inconsistent.
-    #[error(transparent)]
-    Settings(#[from] SettingsError),
-    /// The ledger's file.
-    #[error(transparent)]
-    Ledger(#[from] LedgerFileError),
-    /// Too little shared memory or too few descriptors.
-    #[error(transparent)]
-    Capacity(#[from] CapacityError),
-    /// Another worker serves the fleet.
-    #[error(transparent)]
-    Lock(#[from] WorkerLockError),
-    /// The domain could not be joined.
-    #[error(transparent)]
-    Join(#[from] JoinError),
-    /// A port could not be opened.
-    #[error(transparent)]
-    Port(#[from] joulebus_bus::OpenError),
-    /// The checkpointer's thread could not be started, or the boot id is unknown.
-    #[error("the worker's checkpointer cannot start: {0}")]
-    Checkpointer(#[from] io::Error),
-    /// The system refused scheduling that the config requires.
-    #[error("{0} (`worker.if_refused = \"stop\"` in the config)")]
-    Scheduling(#[from] SchedulingError),
-    /// The threads of a parallel tick could not be started.
-    #[error(transparent)]
-    Threads(#[from] TickPoolError),
 }
 
 /// Errors that stop a worker.

@@ -7,7 +7,7 @@ use joulebus_wire::{
     MAX_ACKNOWLEDGED, MAX_ACKNOWLEDGED_BY, QueryRefusal, SCHEMA_VERSION,
 };
 
-use crate::server::ServerError;
+use crate::error::ServerError;
 
 /// Interval at which the table is sent again while it is not empty, ns.
 const REPEAT_EVERY_NS: u64 = 1_000_000_000;

@@ -2,6 +2,7 @@
 #![forbid(unsafe_code)]
 
 mod acknowledgements;
+mod error;
 mod fair;
 mod job;
 mod records;
@@ -22,7 +23,8 @@ use joulebus_wire::QueryCounts;
 use serde::Serialize;
 
 use acknowledgements::Table;
-use server::{Server, ServerError};
+use error::ServerError;
+use server::Server;
 pub use statements::Statements;
 
 /// Pause before the ports are opened, and before a failed opening is tried again.

@@ -13,13 +13,11 @@ use joulebus_wire::{
 };
 
 use crate::acknowledgements::{Acknowledged, Table};
+use crate::error::ServerError;
 use crate::fair::Fair;
 use crate::job::{Job, State};
 use crate::records::Records;
 use crate::statements::Statements;
-
-/// An error of the ports, which are then opened again.
-pub(crate) type ServerError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Questions and statements of one process that may wait.
 const MAX_OF_A_PROCESS: usize = 4;

@@ -3,6 +3,7 @@
 mod intake;
 mod membership;
 pub(crate) mod online_forecasts;
+pub(crate) mod outputs;
 mod snapshot;
 
 use std::sync::atomic::AtomicU64;

@@ -1,57 +1,48 @@
-//! The outputs of a tick as one table. Shards write the rows, the worker sends them, and the
-//! verification of captures computes them again.
+//! The memory of a tick's outputs, and the table of those beside the forecasts.
 
 use std::slice;
 
-use joulebus_wire::{
-    Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader,
-    PlanStates,
-};
+use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
 
-use crate::fleet::Fleet;
-
-/// A channel to which a tick sends a frame with a row for each robot.
-pub trait Output: Channel {
-    /// The fields of a header that samples and settings determine. The others are those of a
-    /// process, and of the times at which it sends.
-    const COMPUTED: &'static [&'static str];
-
-    /// The header of its frame beside this one of the forecasts, without the times of sending.
-    fn header(fleet: &Fleet, forecasts: &ForecastHeader) -> Self::Header;
-
-    /// Its row of the robot at `place` (0 to [`Fleet::len`] − 1), as of the last tick. A
-    /// [`crate::Shard`] writes those of all robots faster.
-    fn row(fleet: &Fleet, place: usize) -> Self::Row;
+/// The table of the outputs beside the forecasts, which `$declare` gets: the name of the rows, the
+/// channel, the row, its function of the fleet, the fields of the header that samples and settings
+/// determine, and the header beside that of the forecasts. The other fields are those of a process,
+/// and of the times at which it sends.
+macro_rules! secondary_outputs {
+    ($declare:ident) => {
+        $declare! {
+            /// Diagnostics.
+            diagnostics: Diagnostics, Diagnostic, diagnostic, ["refused", "platforms"],
+                |fleet, _forecasts| DiagnosticHeader {
+                    refused: fleet.refusals(),
+                    platforms: fleet.platform_memories(),
+                };
+            /// Budgets.
+            budgets: Budgets, Budget, budget, [],
+                |_fleet, _forecasts| BudgetHeader { ..BudgetHeader::default() };
+            /// Starts of plans.
+            plan_states: PlanStates, PlanState, plan_state,
+                ["settings_hash", "model_hash", "models", "compute_start_ns"],
+                |fleet, forecasts| PlanStateHeader {
+                    period_ns: forecasts.period_ns,
+                    settings_hash: fleet.settings_hash(),
+                    model_hash: forecasts.model_hash,
+                    models: fleet.model_hashes(),
+                    compute_start_ns: forecasts.compute_start_ns,
+                    ..PlanStateHeader::default()
+                };
+            /// Outlooks.
+            outlooks: Outlooks, Outlook, outlook, ["model_hash", "compute_start_ns"],
+                |_fleet, forecasts| OutlookHeader {
+                    period_ns: forecasts.period_ns,
+                    model_hash: forecasts.model_hash,
+                    compute_start_ns: forecasts.compute_start_ns,
+                    ..OutlookHeader::default()
+                };
+        }
+    };
 }
-
-/// Is called with each output by [`each_output`].
-pub trait ForEachOutput {
-    /// Takes an output.
-    fn output<O: Output>(&mut self);
-}
-
-impl Output for Forecasts {
-    const COMPUTED: &'static [&'static str] = &[
-        "model_hash",
-        "capacity",
-        "frames_taken",
-        "first_intended_ns",
-        "first_sent_ns",
-        "first_taken_ns",
-        "compute_start_ns",
-        "samples_accepted",
-        "samples_dropped",
-    ];
-
-    fn header(_: &Fleet, forecasts: &ForecastHeader) -> ForecastHeader {
-        *forecasts
-    }
-
-    fn row(fleet: &Fleet, place: usize) -> Forecast {
-        fleet.forecast(place)
-    }
-}
+pub(crate) use secondary_outputs;
 
 /// Output of [`crate::Shard::run`]: slices of the shard's length, or empty ones for outputs that
 /// are left out.
@@ -81,9 +72,8 @@ fn split<T>(rows: &mut [T], robots: usize) -> (&mut [T], &mut [T]) {
     rows.split_at_mut(robots)
 }
 
-/// Declares the outputs beside the forecasts: the name of the rows, the channel, the row, its
-/// function of [`Fleet`], and of the header the fields that are computed, and how.
-macro_rules! secondary {
+/// Declares the memory of the outputs.
+macro_rules! memory {
     ($($(#[doc = $doc:literal])* $rows:ident: $channel:ident, $row:ident, $get:ident,
         $computed:expr, |$fleet:ident, $forecasts:ident| $header:ident { $($fields:tt)* };)*
     ) => {
@@ -137,55 +127,7 @@ macro_rules! secondary {
                 }
             }
         }
-
-        $(impl Output for $channel {
-            const COMPUTED: &'static [&'static str] = &$computed;
-
-            fn header($fleet: &Fleet, $forecasts: &ForecastHeader) -> $header {
-                let ForecastHeader { schema, pid, worker_epoch, tick, .. } = *$forecasts;
-                $header { schema, pid, worker_epoch, tick, $($fields)* }
-            }
-
-            fn row(fleet: &Fleet, place: usize) -> $row {
-                fleet.$get(place)
-            }
-        })*
-
-        /// Calls `each` with all outputs, the forecasts first.
-        pub fn each_output(each: &mut impl ForEachOutput) {
-            each.output::<Forecasts>();
-            $(each.output::<$channel>();)*
-        }
     };
 }
 
-secondary! {
-    /// Diagnostics.
-    diagnostics: Diagnostics, Diagnostic, diagnostic, ["refused", "platforms"],
-        |fleet, _forecasts| DiagnosticHeader {
-            refused: fleet.refusals(),
-            platforms: fleet.platform_memories(),
-        };
-    /// Budgets.
-    budgets: Budgets, Budget, budget, [],
-        |_fleet, _forecasts| BudgetHeader { ..BudgetHeader::default() };
-    /// Starts of plans.
-    plan_states: PlanStates, PlanState, plan_state,
-        ["settings_hash", "model_hash", "models", "compute_start_ns"],
-        |fleet, forecasts| PlanStateHeader {
-            period_ns: forecasts.period_ns,
-            settings_hash: fleet.settings_hash(),
-            model_hash: forecasts.model_hash,
-            models: fleet.model_hashes(),
-            compute_start_ns: forecasts.compute_start_ns,
-            ..PlanStateHeader::default()
-        };
-    /// Outlooks.
-    outlooks: Outlooks, Outlook, outlook, ["model_hash", "compute_start_ns"],
-        |_fleet, forecasts| OutlookHeader {
-            period_ns: forecasts.period_ns,
-            model_hash: forecasts.model_hash,
-            compute_start_ns: forecasts.compute_start_ns,
-            ..OutlookHeader::default()
-        };
-}
+secondary_outputs!(memory);
