@@ -138,8 +138,9 @@ impl Drop for Draft {
 }
 
 impl Draft {
-    /// Begins the file for `path`.
+    /// Begins the file for `path`. Removes what killed processes have left beside it.
     fn begin(path: &Path, mode: u32) -> io::Result<Self> {
+        remove_dead(path.parent().filter(|folder| !folder.as_os_str().is_empty()));
         match unnamed(path, mode) {
             Err(error) if is_unsupported(&error) => Self::begin_named(path, mode),
             file => Ok(Self { file: file?, hidden: None }),
@@ -229,12 +230,11 @@ pub(crate) fn rename_new(hidden: &Path, path: &Path) -> io::Result<bool> {
 }
 
 /// Creates a file or folder under a free hidden name beside `path`, and locks it for as long as
-/// this process has it open. Removes those whose process was killed: nobody locks them.
+/// this process has it open: one that nobody locks is [removed](remove_dead).
 pub(crate) fn beside(
     path: &Path,
     mut make: impl FnMut(&Path) -> io::Result<File>,
 ) -> io::Result<(File, PathBuf)> {
-    remove_dead(path.parent().filter(|folder| !folder.as_os_str().is_empty()));
     let mut number = 0;
     loop {
         // Not after the file, whose name may be as long as names may be.
@@ -412,13 +412,11 @@ mod tests {
         fs::create_dir(at(".joulebus-1-1")).unwrap();
         fs::write(at(".joulebus-1-1/one"), "one").unwrap();
         symlink(at(".joulebus-own"), at(".joulebus-1-2")).unwrap();
-        let (written, hidden) = beside(&at("out"), |hidden| File::create_new(hidden)).unwrap();
-        let (_, second) = beside(&at("out"), |hidden| File::create_new(hidden)).unwrap();
-        drop(written);
-        fs::remove_file(second).unwrap();
-        let own = [".joulebus-", ".joulebus-1-2", ".joulebus-own"].map(OsString::from);
+        let (_written, hidden) = beside(&at("out"), |hidden| File::create_new(hidden)).unwrap();
+        create(&at("out"), text("whole")).unwrap();
+        let own = [".joulebus-", ".joulebus-1-2", ".joulebus-own", "joulebus-1-0", "out"];
         let kept = hidden.file_name().unwrap().to_owned();
-        let mut expected: Vec<_> = own.into_iter().chain([kept, "joulebus-1-0".into()]).collect();
+        let mut expected: Vec<_> = own.map(OsString::from).into_iter().chain([kept]).collect();
         expected.sort();
         assert_eq!(names(folder.path()), expected);
     }
