@@ -40,8 +40,11 @@ const MAX_BYTES: usize = 65_536;
 const MAX_ASKED_BYTES: u64 = 8 << 20;
 /// Maximum number of remembered publishers. Each is announced once.
 const MAX_ANNOUNCED: usize = 100_000;
-/// Maximum number of requests that wait. The oldest one then ends without a response.
+/// Maximum number of requests that wait. The oldest one of the client with most then ends without a
+/// response.
 const MAX_WAITING: usize = 1_024;
+/// The upper bits of a request's number name its client, for the bridge's turns.
+const CLIENT_SHIFT: u32 = 48;
 /// Without another session for so long a warning names the router.
 const ALONE: Duration = Duration::from_secs(5);
 /// The variables by which `rmw_zenoh_cpp` is configured: a file, and keys in place of the file's.
@@ -78,11 +81,35 @@ struct Sent {
 }
 
 /// Requests that wait for their response, by number.
-#[derive(Debug, Default)]
-struct Requests {
-    waiting: BTreeMap<u64, Query>,
-    /// Number of the newest request.
+#[derive(Debug)]
+struct Requests<T = Query> {
+    waiting: BTreeMap<u64, T>,
+    /// Count of all requests.
     newest: u64,
+}
+
+impl<T> Default for Requests<T> {
+    fn default() -> Self {
+        Self { waiting: BTreeMap::new(), newest: 0 }
+    }
+}
+
+impl<T> Requests<T> {
+    /// Adds a request, and returns its number.
+    fn add(&mut self, client: u16, request: T) -> u64 {
+        self.newest += 1;
+        let number = u64::from(client) << CLIENT_SHIFT | self.newest;
+        self.waiting.insert(number, request);
+        if self.waiting.len() > MAX_WAITING {
+            let mut of_clients = BTreeMap::new();
+            for waits in self.waiting.keys() {
+                of_clients.entry(waits >> CLIENT_SHIFT).or_insert((0, *waits)).0 += 1;
+            }
+            let most = of_clients.values().max_by_key(|(count, _)| *count);
+            most.and_then(|(_, oldest)| self.waiting.remove(oldest));
+        }
+        number
+    }
 }
 
 pub(crate) fn run() -> anyhow::Result<Outcome> {
@@ -189,17 +216,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// Passes a request on with a number of its own.
 fn take(requests: &Mutex<Requests>, index: u32, query: Query) {
-    let mut requests = lock(requests);
-    requests.newest += 1;
-    let mut frame = requests.newest.to_le_bytes().to_vec();
     let request = query.payload().map(|payload| payload.to_bytes()).unwrap_or_default();
-    frame.extend_from_slice(&request[..request.len().min(MAX_BYTES + 1)]);
-    let number = requests.newest;
-    requests.waiting.insert(number, query);
-    if requests.waiting.len() > MAX_WAITING {
-        requests.waiting.pop_first();
-    }
-    pass_on(index, &frame);
+    let request = request[..request.len().min(MAX_BYTES + 1)].to_vec();
+    let attached = query.attachment().map(|attached| attached.to_bytes()).unwrap_or_default();
+    let client = xxhash_rust::xxh3::xxh3_64(protocol::rmw::sender(&attached)) as u16;
+    let mut requests = lock(requests);
+    let number = requests.add(client, query);
+    pass_on(index, &[&number.to_le_bytes(), &request[..]].concat());
 }
 
 /// Sends the response to a request that still waits.
@@ -290,4 +313,21 @@ fn next(input: &mut impl io::Read, message: &mut Vec<u8>) -> anyhow::Result<Opti
     message.resize(length as usize, 0);
     input.read_exact(message)?;
     Ok(Some(index))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_request_of_the_client_with_most_gives_way() {
+        let mut requests = Requests::default();
+        let other = requests.add(1, ());
+        let many: Vec<u64> = (0..2 * MAX_WAITING).map(|_| requests.add(7, ())).collect();
+        assert!(requests.waiting.contains_key(&other));
+        let kept = many.iter().filter(|number| requests.waiting.contains_key(number));
+        assert_eq!(kept.count(), MAX_WAITING - 1);
+        assert!(requests.waiting.contains_key(many.last().unwrap()));
+        assert_eq!(many[0] >> CLIENT_SHIFT, 7, "the bridge names the client by it");
+    }
 }

@@ -28,7 +28,7 @@ pub(crate) enum Client {
 }
 
 impl Client {
-    /// Names the program, as far as the request does. All clients of zenoh have one name.
+    /// Names the program, as far as the request does: a client of zenoh by a part of its number.
     pub(super) fn program(&self) -> [u8; 12] {
         let mut name = [0; 12];
         match self {
@@ -36,7 +36,7 @@ impl Client {
                 name.copy_from_slice(&request.writer_guid.to_bytes()[..12]);
             }
             Self::Header(header) => name[..8].copy_from_slice(&header[..8]),
-            Self::Query(_) => {}
+            Self::Query(number) => name[..2].copy_from_slice(&number.to_be_bytes()[..2]),
         }
         name
     }

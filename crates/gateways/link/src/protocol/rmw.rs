@@ -155,6 +155,11 @@ pub(crate) fn response(request: &[u8], unix_ns: i64) -> Option<[u8; ATTACHMENT_B
     Some(bytes)
 }
 
+/// The id of the publisher or client in an attachment, which is none of other lengths.
+pub(crate) fn sender(attached: &[u8]) -> &[u8] {
+    attached.get(17..ATTACHMENT_BYTES).unwrap_or_default()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
