@@ -11,7 +11,7 @@ use joulebus_capture_format::{Message, MessageKind};
 /// The first [`TICK_RULES`] by which a channel has the bits that this version computes. Captures of
 /// older rules are compared in the channels whose number is not greater than theirs.
 const SAME_BITS_SINCE: [(&str, u32); 6] = [
-    ("forecasts", 8),
+    ("forecasts", 9),
     ("diagnostics", 10),
     ("budgets", 10),
     ("plan_states", 10),

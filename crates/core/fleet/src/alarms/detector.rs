@@ -5,7 +5,6 @@ use joulebus_wire::{Alarm, AlarmSet};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{block, put};
-use crate::state::added;
 
 /// Serial correlation above which whitening would only amplify noise.
 const MAX_CORRELATION: f32 = 0.9;
@@ -42,7 +41,6 @@ block! {
     pub(crate) struct DetectorLanes {
         pub bias_w: f32 = 0.0,
         // Older states have two cumulative sums before it.
-        #[serde(deserialize_with = "added::read_after_cusum")]
         pub noise_ratio: f32 = 1.0,
         z_last: f32 = 0.0,
         z_square: f32 = 1.0,

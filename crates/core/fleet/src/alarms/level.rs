@@ -56,7 +56,6 @@ use joulebus_wire::{Alarm, AlarmSet, PlatformMemory};
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{Block as _, LANES, Lanes, block};
-use crate::state::added;
 
 /// Time constants of the quick and the slow mean, s.
 const MEANS_S: [f32; 2] = [2.0, 12.0];
@@ -263,7 +262,6 @@ block! {
         /// Bits of [`AlarmSet`], [`ACCEPTED`] and [`BY_OTHERS`].
         raised: u32 = 0,
         /// Time for which a deviation has been beyond the limit, s.
-        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
         beyond_s: f32 = 0.0,
     }
 }
@@ -524,9 +522,6 @@ impl Level {
 }
 
 impl LevelLanes {
-    /// Levels of which nothing is known, not even their scatter.
-    pub(crate) const UNKNOWN: Self = Self::all(&Level::NONE);
-
     /// The alarms of the robot in a lane.
     #[inline(always)]
     pub(crate) fn alarms(&self, lane: usize) -> AlarmSet {

@@ -109,17 +109,6 @@ impl EnergyLanes {
         ((number(v_mps), number(omega_radps)), number(command_w))
     }
 
-    /// Completes a state of an older version: the running shadow forecasts count as made with what
-    /// the robots have shown so far.
-    pub(crate) fn complete(&mut self) {
-        for lane in 0..LANES {
-            let mut robot = self.get(lane);
-            robot.learned.shadow_trust = [robot.learned.command_trust; SHADOWS];
-            robot.learned.shadow_outlook_w = robot.learned.shadow_mean_w;
-            self.set(lane, true, robot);
-        }
-    }
-
     /// The energy state of the robot in a lane, with the bounds of its intervals.
     #[inline(always)]
     pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {

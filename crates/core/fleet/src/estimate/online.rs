@@ -43,7 +43,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
 use crate::layout::lanes::{LANES, Lanes, block, each, put};
-use crate::state::added;
 
 /// Deviations that the stack weighs: of the last reading, the network and the mean from the
 /// autoregression, and the level.
@@ -235,9 +234,7 @@ block! {
         from_last: bool = false,
         /// Squared error of the stacks above that of the last reading, over its first readings with
         /// a measurement due, W², and their number.
-        #[serde(deserialize_with = "added::read::<0x10, _, _>")]
         excess: f32 = 0.0,
-        #[serde(deserialize_with = "added::read::<0x10, _, _>")]
         judged: u8 = 0,
     }
 }

@@ -12,14 +12,11 @@ use crate::estimate::interval::{ConformalInterval, IntervalLanes, QuantileStep};
 use crate::estimate::online::{Learned, Members, Online, OnlineLanes};
 use crate::estimate::window::{Window, WindowLanes};
 use crate::layout::lanes::{self, LANES};
-use crate::state::added;
 use crate::state::snapshot::StateError;
 use crate::tick::platform_context::PossiblePower;
 
 /// First bytes of the encoding. The last of them is its version.
 const MAGIC: [u8; 8] = *b"jbonlin\x02";
-/// The version before, which is read too. It lacks the fields that states lack before 0x10.
-const BEFORE: [u8; 8] = *b"jbonlin\x01";
 
 /// Settings of [`OnlineForecasts`], with the meaning that they have for a platform.
 #[derive(Debug, Clone, Copy)]
@@ -208,11 +205,9 @@ impl OnlineForecasts {
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), StateError> {
         let decoded = if let Some(encoded) = bytes.strip_prefix(&MAGIC) {
             postcard::from_bytes(encoded)
-        } else if let Some(encoded) = bytes.strip_prefix(&BEFORE) {
-            added::decode_version(0x0f, || postcard::from_bytes(encoded))
         } else {
             let found = bytes.iter().take(MAGIC.len()).copied().collect();
-            return Err(StateError::Version { found, oldest: BEFORE[7], expected: MAGIC[7] });
+            return Err(StateError::Version { found, oldest: MAGIC[7], expected: MAGIC[7] });
         };
         let malformed =
             |reason: &str| StateError::Malformed { bytes: bytes.len(), reason: reason.to_owned() };

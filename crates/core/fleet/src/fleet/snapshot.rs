@@ -82,7 +82,7 @@ impl Fleet {
             return Err(StateError::Platforms { found, expected });
         }
         let (found, expected) = (state.settings_hash, self.settings_hash);
-        if found != expected && !state.is_older {
+        if found != expected {
             return Err(StateError::FleetSettings { found, expected });
         }
         let (found, expected) = (state.model_hash, self.model_hash());

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 use crate::ingest::codes::invalid_reason;
 use crate::ingest::pending::Pending;
 use crate::layout::lanes::{Count, InstantNs, block};
-use crate::state::added;
 
 /// Reason that a sample was refused, if it was.
 type Invalid = Option<InvalidReason>;
@@ -53,7 +52,6 @@ block! {
         /// True if the last row was outside the training range.
         pub outside_training: bool = false,
         /// True if the source finds the last sample's robot implausible.
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         pub implausible: bool = false,
     }
 }

@@ -127,41 +127,31 @@ block! {
         events: u8 = 0,
         /// The monitor's part of the errors of `soc` and of `bias`, in its standard deviations:
         /// [`EnergyLeft::monitor`].
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         pub monitor: f64 = 0.0,
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         pub bias_monitor: f64 = 0.0,
         /// [`EnergyLeft::range_sd`] at the anchor.
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         pub range_sd: f64 = 0.0,
         /// Mean power at the newest sample, and the last reading, W. NaN if unknown. A gap after them is
         /// valued by them.
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         pub mean_w: f32 = f32::NAN,
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         pub reading_w: f32 = f32::NAN,
         /// True if the newest sample reported a full battery.
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")]
         full: bool = false,
         /// True if the newest sample said that the robot is switched off.
-        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
         pub off: bool = false,
         /// Mean power at rest, W. NaN if unknown.
-        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
         pub idle_w: f32 = f32::NAN,
         /// Unmetered time since the charge was last known, s, and by how much it has lowered the lower
         /// bound at most, as a share. The gap that has not ended is not in them.
-        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
         pub pause_s: f32 = 0.0,
-        #[serde(deserialize_with = "added::read::<0x11, _, _>")]
         pub pause: f32 = 0.0,
         /// Learned capacity as a share of the stated one, and its relative standard deviation: 0 before
         /// anything is learned.
-        #[serde(deserialize_with = "added::read::<0x12, _, _>")]
+        #[serde(deserialize_with = "added::read")]
         pub capacity: f32 = 0.0,
-        #[serde(deserialize_with = "added::read::<0x12, _, _>")]
+        #[serde(deserialize_with = "added::read")]
         pub capacity_sd: f32 = 0.0,
-        #[serde(deserialize_with = "added::read::<0x12, _, _>")]
+        #[serde(deserialize_with = "added::read")]
         pub lessons: Lessons = Lessons::NONE,
     }
 }
@@ -874,30 +864,10 @@ pub(crate) enum Known {
     Kept(BatteryState),
     /// Saved by an earlier run, with the mean power then, W, NaN if unknown. A gap since is valued by
     /// it.
-    Saved(
-        SavedBattery,
-        #[serde(deserialize_with = "added::read::<0x0f, _, _>")] f32,
-        #[serde(deserialize_with = "added::read::<0x11, _, _>")] SavedPause,
-        #[serde(deserialize_with = "added::read::<0x12, _, _>")] SavedLessons,
-    ),
+    Saved(SavedBattery, f32, SavedPause, #[serde(deserialize_with = "added::read")] SavedLessons),
 }
 
 impl Known {
-    /// Completes one of a version before: the power at rest is unknown, and the mean power unless it
-    /// has that.
-    pub(crate) fn complete(&mut self, has_means: bool) {
-        match self {
-            Self::Kept(kept) => {
-                if !has_means {
-                    (kept.mean_w, kept.reading_w) = (f32::NAN, f32::NAN);
-                }
-                kept.idle_w = f32::NAN;
-            }
-            Self::Saved(_, mean_w, ..) if !has_means => *mean_w = f32::NAN,
-            Self::Saved(..) | Self::Nothing => {}
-        }
-    }
-
     pub(crate) fn saved(battery: SavedBattery) -> Self {
         let mean_w = battery.mean_power_w.filter(|watts| watts.is_finite());
         Self::Saved(battery, mean_w.unwrap_or(f32::NAN), battery.pause, battery.lessons)

@@ -2,7 +2,7 @@
 
 use std::cell::Cell;
 
-use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, Learned, PARTS, SHADOWS};
+use joulebus_energy::{CLASSES, ERRORS, ErrorCounts, GROUPS, Learned, PARTS, SHADOWS, SHOWN};
 use serde::{Deserialize, Deserializer};
 
 use crate::layout::lanes::Lanes;
@@ -13,14 +13,8 @@ thread_local! {
     static VERSION: Cell<u8> = const { Cell::new(u8::MAX) };
 }
 
-/// The version whose robots keep the shadow forecasts that they have made.
-const MADE: u8 = 0x0f;
-/// The version whose platforms' errors have groups.
-const GROUPED: u8 = 0x10;
-/// The version whose groups have the scatter of levels, and whose detectors have no cumulative sums.
-const SCATTERED: u8 = 0x11;
-/// The version whose groups have levels.
-const LEVELLED: u8 = 0x12;
+/// The version that gained the fields of [`read`], and whose groups have levels.
+const READ: u8 = 0x12;
 
 /// Decodes a state of an older version.
 pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
@@ -30,8 +24,8 @@ pub(crate) fn decode_version<T>(version: u8, decode: impl FnOnce() -> T) -> T {
     decoded
 }
 
-/// Reads a field that versions before `SINCE` lack. It is then the default of its type.
-pub(crate) fn read<'de, const SINCE: u8, T, D>(from: D) -> Result<T, D::Error>
+/// Reads a field that versions before 0x12 lack. It is then the default of its type.
+pub(crate) fn read<'de, T, D>(from: D) -> Result<T, D::Error>
 where
     T: Deserialize<'de> + Default,
     D: Deserializer<'de>,
@@ -39,40 +33,21 @@ where
     if VERSION.get() < SINCE { Ok(T::default()) } else { T::deserialize(from) }
 }
 
-/// Reads a field after the two cumulative sums of detectors, which versions before 0x11 have.
-pub(crate) fn read_after_cusum<'de, T, D>(from: D) -> Result<T, D::Error>
-where
-    T: Deserialize<'de>,
-    D: Deserializer<'de>,
-{
-    if VERSION.get() < SCATTERED {
-        <([T; 2], T)>::deserialize(from).map(|(_, noise_ratio)| noise_ratio)
-    } else {
-        T::deserialize(from)
-    }
-}
-
-/// Reads what robots learn from shadow forecasts. Versions before 0x12 have a group of factors after
-/// the third one and at the end of the outlooks', those before 0x0f lack the last two.
+/// Reads what robots learn from shadow forecasts. Versions before 0x12 have two groups of factors
+/// more.
 pub(crate) fn read_learned<'de, D: Deserializer<'de>>(
     from: D,
 ) -> Result<[[Lanes<f32>; SHADOWS]; Learned::GROUPS], D::Error> {
     type Group = [Lanes<f32>; SHADOWS];
-    let had = |[factor, added, mean, _, trust, last, own, _]: [Group; 8],
-               [of, outlook]: [Group; 2]| {
-        [factor, added, mean, trust, last, own, of, outlook]
-    };
-    match VERSION.get() {
-        ..MADE => <[Group; 8]>::deserialize(from).map(|groups| had(groups, Default::default())),
-        ..LEVELLED => {
-            <([Group; 8], [Group; 2])>::deserialize(from).map(|(groups, made)| had(groups, made))
-        }
-        _ => Deserialize::deserialize(from),
+    if VERSION.get() >= READ {
+        return Deserialize::deserialize(from);
     }
+    let [factor, added, mean, _, trust, last, own, _, of, outlook] =
+        <[Group; 10]>::deserialize(from)?;
+    Ok([factor, added, mean, trust, last, own, of, outlook])
 }
 
-/// Reads the errors of a platform. Versions before 0x10 lack what its robots have shown, those
-/// before 0x11 the scatter of their levels, and those before 0x12 these levels.
+/// Reads the errors of a platform. Versions before 0x12 lack the levels that its robots have shown.
 pub(crate) fn read_errors<'de, T, D>(from: D) -> Result<ErrorCounts<T>, D::Error>
 where
     T: Deserialize<'de> + Default + Copy,
@@ -82,24 +57,14 @@ where
     struct Before<T> {
         classes: [[T; CLASSES]; ERRORS],
         pulls: [[T; PARTS]; SHADOWS],
+        groups: [[[T; 2]; SHOWN - 1]; GROUPS],
     }
-    fn before<'de, T, D, const N: usize>(from: D) -> Result<ErrorCounts<T>, D::Error>
-    where
-        T: Default + Copy,
-        D: Deserializer<'de>,
-        (Before<T>, [[[T; 2]; N]; GROUPS]): Deserialize<'de>,
-    {
-        let (Before { classes, pulls }, shown) =
-            <(Before<T>, [[[T; 2]; N]; GROUPS])>::deserialize(from)?;
-        let all = |had: [[T; 2]; N]| {
-            std::array::from_fn(|quantity| had.get(quantity).copied().unwrap_or_default())
-        };
-        Ok(ErrorCounts { classes, pulls, groups: shown.map(all) })
+    if VERSION.get() >= READ {
+        return ErrorCounts::deserialize(from);
     }
-    match VERSION.get() {
-        ..GROUPED => before::<_, _, 0>(from),
-        GROUPED => before::<_, _, 3>(from),
-        SCATTERED => before::<_, _, 4>(from),
-        LEVELLED.. => ErrorCounts::deserialize(from),
-    }
+    let Before { classes, pulls, groups } = Before::deserialize(from)?;
+    let all = |had: [[T; 2]; SHOWN - 1]| {
+        std::array::from_fn(|quantity| had.get(quantity).copied().unwrap_or_default())
+    };
+    Ok(ErrorCounts { classes, pulls, groups: groups.map(all) })
 }

@@ -239,30 +239,7 @@ columns! {
         online: OnlineLanes, "blocks of what is learned online";
         /// Empty unless a platform has a battery.
         batteries: BatteryLanes, "blocks of batteries";
-        /// Empty in a state of an older version whose platforms' models stated no errors.
         levels: LevelLanes, "blocks of levels";
-    }
-}
-
-impl Columns {
-    /// Completes columns of a version before, as far as the others say what the added fields were.
-    /// `is_recent`: only what the newest version added is missing.
-    pub(super) fn complete(&mut self, is_recent: bool) {
-        if !is_recent {
-            self.energy.iter_mut().for_each(EnergyLanes::complete);
-        }
-        for (batteries, lasts) in self.batteries.iter_mut().zip(&self.lasts) {
-            batteries.complete(lasts, is_recent);
-        }
-    }
-}
-
-impl Columns {
-    /// Completes columns of a version that judged no levels: they are learned from now on.
-    pub(super) fn complete_levels(&mut self) {
-        if self.levels.is_empty() {
-            self.levels.resize(self.lasts.len(), LevelLanes::UNKNOWN);
-        }
     }
 }
 
@@ -273,7 +250,7 @@ pub(crate) struct Needed {
     pub online: bool,
     /// A platform has a battery.
     pub batteries: bool,
-    /// They always are. Older versions judged the levels of trained models alone.
+    /// They always are.
     pub levels: bool,
 }
 

@@ -25,7 +25,6 @@ impl FleetState {
             capacity: _,
             platforms: _,
             settings_hash: _,
-            is_older: _,
             model_hash: _,
             counters,
             columns,

@@ -17,12 +17,7 @@ use crate::state::columns::{Columns, Needed};
 /// gains, loses or moves a field.
 const MAGIC: [u8; 8] = *b"jbstate\x12";
 /// The oldest version that is read too. It lacks the [`added`] fields.
-const OLDEST: u8 = 0x0e;
-/// The first version whose robots are complete, and the first whose batteries are.
-const COMPLETE: u8 = 0x0f;
-const COMPLETE_BATTERIES: u8 = 0x11;
-/// The first version that judges the levels of all robots.
-const ALL_LEVELS: u8 = 0x11;
+const OLDEST: u8 = 0x11;
 const NEWEST: u8 = MAGIC[7];
 
 /// Everything that a tick depends on except the settings and the models, bit for bit: membership,
@@ -47,9 +42,6 @@ pub struct FleetState {
     pub(crate) refused: Refused,
     /// One entry a platform.
     pub(crate) errors: Vec<SavedErrors>,
-    /// An older version encoded it. Its hash of settings is another one.
-    #[serde(skip)]
-    pub(crate) is_older: bool,
 }
 
 /// Counters common to all robots.
@@ -119,7 +111,6 @@ impl FleetState {
             sources: with_capacity(settings.intake.max_sources.into(), Source::default()),
             refused: Refused::default(),
             errors: with_capacity(settings.platforms.len(), SavedErrors::default()),
-            is_older: false,
         }
     }
 
@@ -157,19 +148,6 @@ impl FleetState {
         };
         let decoded: Result<(Self, &[u8]), _> =
             added::decode_version(version, || postcard::take_from_bytes(&bytes[MAGIC.len()..]));
-        let decoded = decoded.map(|(mut state, rest)| {
-            if version < COMPLETE_BATTERIES {
-                let is_recent = version >= COMPLETE;
-                state.columns.complete(is_recent);
-                let departed = state.departed.iter_mut();
-                departed.for_each(|account| account.battery.complete(is_recent));
-            }
-            if version < ALL_LEVELS {
-                state.is_older = true;
-                state.columns.complete_levels();
-            }
-            (state, rest)
-        });
         let malformed = |reason: String| StateError::Malformed { bytes: bytes.len(), reason };
         match decoded {
             Ok((state, [])) => Ok(state),

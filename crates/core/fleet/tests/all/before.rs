@@ -1,11 +1,11 @@
 //! A state that the version before encoded is read, and forecasts go on with the same bits.
 //!
-//! `before.bin` is what afbcd159 encoded of the fleet of [`source`], and the [`digest`] of its next
+//! `before.bin` is what 16f64ea6 encoded of the fleet of [`source`], and the [`digest`] of its next
 //! forecasts. No test writes it: this version would encode its own.
 
 use std::fs;
 
-use joulebus_fleet::{Fleet, FleetState, SavedBattery};
+use joulebus_fleet::{Fleet, FleetState, SavedBattery, StateError};
 use joulebus_predictor::Kernel;
 use joulebus_testkit_fleets::{self as world, PERIOD_NS, Source};
 use joulebus_wire::{Forecast, sample_flag};
@@ -69,7 +69,10 @@ fn source() -> (Fleet, Source) {
 fn a_state_of_the_version_before_is_read_and_forecasts_go_on_with_its_bits() {
     let bytes = fs::read(PATH).expect("it is part of the repository");
     let (state, expected) = bytes.split_last_chunk::<8>().expect("it ends with a digest");
-    assert!(state.starts_with(b"jbstate\x0e"), "another version encoded it");
+    assert!(state.starts_with(b"jbstate\x11"), "another version encoded it");
+    // An older one is refused by its name.
+    let older = FleetState::decode(b"jbstate\x10").unwrap_err();
+    assert!(matches!(older, StateError::Version { oldest: 0x11, .. }), "{older}");
     let state = FleetState::decode(state).expect("the version before is read");
     let (mut now, mut source) = source();
     let mut fleet = world::fleet_of(16, world::models_on(Kernel::Scalar));
