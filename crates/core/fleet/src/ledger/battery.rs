@@ -13,7 +13,6 @@ use joulebus_wire::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::ingest::last_sample::LastLanes;
 use crate::layout::lanes::{DurationNs, InstantNs, LANES, block, put};
 use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
@@ -157,15 +156,6 @@ block! {
 }
 
 impl BatteryLanes {
-    /// Completes a state of a version before, whose robots have these last samples. `has_means`: it
-    /// has their means.
-    pub(crate) fn complete(&mut self, lasts: &LastLanes, has_means: bool) {
-        if !has_means {
-            (self.mean_w, self.reading_w) = (lasts.mean_power_w, lasts.reading_w);
-        }
-        self.idle_w = [f32::NAN; LANES];
-    }
-
     /// Takes a reading at rest, which stands for `elapsed_s`, where the mask is set.
     #[inline(always)]
     pub(crate) fn rest(&mut self, lane: usize, mask: bool, power_w: f32, elapsed_s: f32) {
