@@ -33,6 +33,11 @@ pub const NOISE_LIMIT: RangeInclusive<f64> = 1.5..=100.0;
 pub const MISMATCH_LIMIT: RangeInclusive<f64> = 1.0..=100.0;
 /// [`crate::AlarmLimits::level_limit`].
 pub const LEVEL_LIMIT: RangeInclusive<f64> = 1.0..=100.0;
+/// Limits of levels, and the false alarms a robot and hour of each at most, with 95 % confidence: of
+/// 200 robot-hours (`cargo test -p joulebus-eval --test all false_alarms_of_levels -- --ignored`).
+pub const LEVEL_RATES: [(f32, f64); 4] = [(5.5, 0.55), (6.5, 0.14), (8.0, 0.032), (11.0, 0.015)];
+/// Rates of false alarms of levels that these limits prove.
+pub const LEVEL_RATE: RangeInclusive<f64> = LEVEL_RATES[3].1..=LEVEL_RATES[0].1;
 /// Residuals of a robot before an alarm on them.
 pub const SETTLE_SAMPLES: RangeInclusive<u32> = 1..=1_000_000;
 /// Samples in a row that raise or clear an alarm.
@@ -74,6 +79,13 @@ pub const LEVEL_BAND: RangeInclusive<f64> = 0.0..=0.5;
 pub const RESISTANCE_OHM: RangeInclusive<f64> = 0.0..=1000.0;
 /// Open-circuit voltage of a battery, V.
 pub const OPEN_CIRCUIT_V: RangeInclusive<f64> = 0.1..=2000.0;
+
+/// The lowest limit of levels that keeps a rate of [`LEVEL_RATE`], alarms a robot and hour. `None` of
+/// any other.
+pub fn level_limit_for(per_robot_h: f64) -> Option<f32> {
+    let mut proven = LEVEL_RATES.iter().filter(|_| LEVEL_RATE.contains(&per_robot_h));
+    proven.find(|(_, at_most)| *at_most <= per_robot_h).map(|(limit, _)| *limit)
+}
 
 /// Refuses `found` outside `allowed`. NaN is outside.
 pub(crate) fn within<T: Copy + PartialOrd + Into<f64>>(

@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use joulebus_settings::{
     AlarmLimits, AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings,
-    OpenCircuit, Platform, Policy, Scheduling,
+    OpenCircuit, Platform, Policy, Scheduling, bounds,
 };
 
-use crate::consistency;
+use crate::consistency::{self, LEVEL_RATE};
 use crate::document::{FleetFile, Listed, RETIRED, Source};
 use crate::files::Attached;
 use crate::key::{ValueKind, voltages};
@@ -371,7 +371,7 @@ impl Builder<'_> {
                 noise_weight: number("alarms.noise_weight")?,
                 noise_limit: number("alarms.noise_limit")?,
                 mismatch_limit: number("alarms.mismatch_limit")?,
-                level_limit: number("alarms.level_limit")?,
+                level_limit: self.level_limit()?,
                 settle_samples: self.0.integer("alarms.settle_samples")?,
                 raise_samples: self.0.integer("alarms.raise_samples")?,
                 clear_samples: self.0.integer("alarms.clear_samples")?,
@@ -379,6 +379,14 @@ impl Builder<'_> {
             },
             platforms,
         })
+    }
+
+    /// The fleet's, which a stated rate chooses.
+    fn level_limit(&self) -> Option<f32> {
+        match self.0.number(LEVEL_RATE) {
+            Some(per_robot_h) => bounds::level_limit_for(per_robot_h),
+            None => self.single("alarms.level_limit"),
+        }
     }
 
     /// A number in single precision. A bound such as 0.99 is between two `f32`, of which the one
@@ -460,14 +468,12 @@ impl Builder<'_> {
 
     /// The platform's limits, and the fleet's where the platform sets none.
     fn limits(&self, fleet: &Self) -> Option<AlarmLimits> {
-        let limit = |name: &str| {
-            let own = self.single(&format!("platform.alarms.{name}"));
-            own.or_else(|| fleet.single(&format!("alarms.{name}")))
-        };
+        let own = |name: &str| self.single(&format!("platform.alarms.{name}"));
+        let limit = |name: &str| own(name).or_else(|| fleet.single(&format!("alarms.{name}")));
         Some(AlarmLimits {
             noise_limit: limit("noise_limit")?,
             mismatch_limit: limit("mismatch_limit")?,
-            level_limit: limit("level_limit")?,
+            level_limit: own("level_limit").or_else(|| fleet.level_limit())?,
         })
     }
 

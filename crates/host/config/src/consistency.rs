@@ -5,7 +5,7 @@
 use std::ops::RangeInclusive;
 use std::sync::Arc;
 
-use joulebus_settings::bounds;
+use joulebus_settings::bounds::{self, level_limit_for};
 
 use crate::cpus;
 use crate::document::{FleetFile, Listed};
@@ -18,6 +18,8 @@ use crate::values::{Location, Values};
 
 /// Robots that there is room for, at most, if a fleet's file does not state the number.
 const UNASKED_ROBOTS: u64 = 1_000;
+/// Replaces `alarms.level_limit`.
+pub(crate) const LEVEL_RATE: &str = "alarms.level_alarms_per_robot_h";
 
 /// Reports every inconsistency. Doubtful values go to `warnings`.
 pub(crate) fn check(
@@ -42,6 +44,7 @@ pub(crate) fn check(
     intake(fleet, problems, warnings);
     threads(fleet, problems);
     worker(fleet, warnings);
+    level_rate(read, warnings);
     for listed in &read.platforms {
         let values = &listed.values;
         if !listed.cut_short {
@@ -213,6 +216,29 @@ fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
             "Set one of them, or remove this key".to_owned(),
         ));
     }
+}
+
+/// A proven rate, multiplied by the robots, is extrapolated.
+fn level_rate(read: &FleetFile, warnings: &mut Vec<Problem>) {
+    let fleet = &read.values;
+    let proven = fleet.number(LEVEL_RATE).and_then(|rate| Some((rate, level_limit_for(rate)?)));
+    let (Some((per_robot_h, limit)), Some(room)) = (proven, room(read)) else {
+        return;
+    };
+    let own = |listed: &&Listed| listed.values.get("platform.alarms.level_limit").is_some();
+    let robots = read.platforms.iter().filter(|listed| !own(listed)).map(listed_robots).sum();
+    let robots = u64::from(room).min(robots);
+    warnings.push(complaint(
+        fleet,
+        LEVEL_RATE,
+        format!(
+            "is extrapolated from 200 simulated robot-hours: the {robots} robots without a \
+             level_limit of their platform raise at most {:.3} alarms an hour with the chosen one, \
+             {limit} standard deviations",
+            per_robot_h * robots as f64
+        ),
+        "`joulebus calibrate` measures the rate on recordings of your robots".to_owned(),
+    ));
 }
 
 fn model(values: &Values, problems: &mut Vec<Problem>, warnings: &mut Vec<Problem>) {
@@ -490,8 +516,11 @@ pub(crate) fn room(read: &FleetFile) -> Option<u32> {
 }
 
 fn listed(read: &FleetFile) -> u64 {
-    let listed = read.platforms.iter().flat_map(|listed| listed.values.robots());
-    listed.map(|range| robots::count(&range)).sum()
+    read.platforms.iter().map(listed_robots).sum()
+}
+
+fn listed_robots(listed: &Listed) -> u64 {
+    listed.values.robots().iter().map(robots::count).sum()
 }
 
 fn capacity(read: &FleetFile, warnings: &mut Vec<Problem>) {

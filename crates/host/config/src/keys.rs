@@ -90,6 +90,8 @@ pub const KEYS: &[Key] = &[
         "Ratio of the network's squared error to that of persistence at which ModelMismatch is raised. Three times the network's error in training replaces that of persistence if it is greater. The alarm is cleared below 0.9 of the limit."),
     key("alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Number(8.0),
         "Change of a robot's power for the same commands at which LevelHigh or LevelLow is raised after three seconds. It grows by a third in a robot's first ten minutes, because by chance a robot deviates the farther, the longer it runs. Either is cleared below half of it."),
+    key("alarms.level_alarms_per_robot_h", num(bounds::LEVEL_RATE), "alarms a robot and hour", DefaultValue::Unset,
+        "Replaces level_limit by the lowest that kept this rate of false alarms in 200 simulated robot-hours, with 95 % confidence."),
     key("alarms.settle_samples", int(bounds::SETTLE_SAMPLES), "samples", DefaultValue::Integer(150),
         "Residuals of a robot before any alarm based on them is raised."),
     key("alarms.raise_samples", int(bounds::ALARM_SAMPLES), "samples", DefaultValue::Integer(20),

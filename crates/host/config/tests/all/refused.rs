@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use joulebus_config::{CheckedFile, Config, ConfigError, File, KEYS, Problem, ValueKind};
+use joulebus_settings::bounds::LEVEL_RATES;
 use proptest::prelude::*;
 
 /// A complete fleet in one text; each table below changes one line of it.
@@ -340,11 +341,30 @@ fn doubtful_values_are_accepted_with_a_warning() {
         ("cpus = \"1\"", "priority = 50", "worker.priority"),
         ("cpus = \"1\"", "if_refused = \"stop\"", "worker.if_refused"),
         ("noise_limit = 50.0", "cusum_limit = 50.0", "alarms.cusum_limit"),
+        ("noise_limit = 50.0", "level_alarms_per_robot_h = 0.1", "alarms.level_alarms_per_robot_h"),
     ] {
         let config = parse(&WHOLE.replace(from, to)).unwrap_or_else(|error| panic!("{error}"));
         let keys: Vec<&str> =
             config.warnings().iter().map(|warning| warning.key.as_str()).collect();
         assert_eq!(keys, [key]);
+    }
+}
+
+#[test]
+fn a_rate_of_false_alarms_chooses_the_lowest_limit_that_keeps_it() {
+    for (limit, per_robot_h) in LEVEL_RATES {
+        let rate = format!("level_alarms_per_robot_h = {per_robot_h}");
+        let text = WHOLE.replace("noise_limit = 50.0", &rate);
+        let config = parse(&text).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(config.settings().alarms.level_limit, limit);
+        // The first platform has limits, of which none is of levels. Both have 21 robots.
+        let limits = config.settings().platforms[0].alarms.unwrap();
+        assert_eq!(limits.level_limit, limit);
+        let fleet = format!(
+            "the 21 robots without a level_limit of their platform raise at most {:.3}",
+            21.0 * per_robot_h
+        );
+        assert!(config.warnings()[0].what.contains(&fleet), "{:?}", config.warnings());
     }
 }
 

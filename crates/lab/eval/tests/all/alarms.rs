@@ -7,6 +7,8 @@ use joulebus_config::{Config, builtin_model};
 use joulebus_fleet::Fleet;
 use joulebus_plant::{Fault, Plant, SimReading};
 use joulebus_predictor::{Model, Network};
+use joulebus_settings::bounds::LEVEL_RATES;
+use joulebus_statistics::poisson::upper_mean;
 use joulebus_wire::{
     Alarm, AlarmSet, SCHEMA_VERSION, Sample, SampleHeader, Statement, sample_flag,
 };
@@ -239,12 +241,18 @@ fn what_is_published_does_not_change_what_is_alarmed() {
 #[test]
 #[ignore = "prints figures for minutes: CONTRIBUTING.md has the command"]
 fn false_alarms_of_levels() {
-    for limit in [8.0, 11.0f32] {
+    let shown = LEVEL_RATES.map(|(limit, _)| {
         let seeds = (1..=4u64).into_par_iter();
         let of = |seed| play_as((true, false, Some(limit)), seed, 50, 3600.0, &[]);
         let runs: Vec<Raised> = seeds.map(of).collect();
         let count: usize = runs.iter().map(|run| run.levels[1]).sum();
-        println!("limit {limit}: {count} in {:.0} robot hours", total(&runs).1);
+        let (_, hours) = total(&runs);
+        let shown = upper_mean(count as u64, 0.95) / hours;
+        println!("limit {limit}: {count} in {hours:.0} robot hours, at most {shown:.4} an hour");
+        shown
+    });
+    for (shown, (limit, at_most)) in shown.into_iter().zip(LEVEL_RATES) {
+        assert!(shown <= at_most, "limit {limit}: {shown}, stated are {at_most}");
     }
 }
 
