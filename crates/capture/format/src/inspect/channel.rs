@@ -12,10 +12,11 @@ use crate::scan::RecordLocation;
 const GAP_STEPS: f64 = 3.0;
 
 /// Sequence numbers of a channel.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "kind")]
 pub enum Sequence {
     /// All messages have the same number, or there are too few.
+    #[default]
     Unused,
     /// Consecutive numbers, with exceptions.
     Counted {
@@ -27,7 +28,7 @@ pub enum Sequence {
 }
 
 /// A channel of a file.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct ChannelReport {
     /// Its id in the file.
     pub id: u16,
@@ -86,16 +87,12 @@ impl ChannelReport {
 /// Counters of a channel during the scan.
 pub(super) struct Tally {
     pub(super) channel: Channel,
-    messages: u64,
-    start_ns: u64,
-    end_ns: u64,
+    found: ChannelReport,
     last_ns: u64,
     last_sequence: u32,
     numbers_differ: bool,
     missing: u64,
     restarts: u64,
-    first_missing: Option<RecordLocation>,
-    out_of_order: u64,
     longest_step_ns: u64,
     least_delay_ns: i128,
     longest_delay_ns: i128,
@@ -106,16 +103,12 @@ impl Tally {
     pub(super) fn new(channel: Channel) -> Self {
         Self {
             channel,
-            messages: 0,
-            start_ns: u64::MAX,
-            end_ns: 0,
+            found: ChannelReport::default(),
             last_ns: 0,
             last_sequence: 0,
             numbers_differ: false,
             missing: 0,
             restarts: 0,
-            first_missing: None,
-            out_of_order: 0,
             longest_step_ns: 0,
             least_delay_ns: i128::MAX,
             longest_delay_ns: i128::MIN,
@@ -124,23 +117,24 @@ impl Tally {
     }
 
     pub(super) fn add(&mut self, header: &MessageHeader, place: RecordLocation) {
-        if self.messages > 0 {
-            self.add_step(header.log_time);
+        let log_ns = header.log_time;
+        if self.found.messages > 0 {
+            self.add_step(log_ns);
             self.add_number(header.sequence, place);
         }
-        let delay_ns = i128::from(header.log_time) - i128::from(header.publish_time);
+        let delay_ns = i128::from(log_ns) - i128::from(header.publish_time);
         self.least_delay_ns = self.least_delay_ns.min(delay_ns);
         self.longest_delay_ns = self.longest_delay_ns.max(delay_ns);
-        self.start_ns = self.start_ns.min(header.log_time);
-        self.end_ns = self.end_ns.max(header.log_time);
-        self.last_ns = header.log_time;
-        self.last_sequence = header.sequence;
-        self.messages += 1;
+        let found = &mut self.found;
+        found.start_ns = Some(found.start_ns.map_or(log_ns, |start_ns| start_ns.min(log_ns)));
+        found.end_ns = found.end_ns.max(Some(log_ns));
+        found.messages += 1;
+        (self.last_ns, self.last_sequence) = (log_ns, header.sequence);
     }
 
     fn add_step(&mut self, log_ns: u64) {
         match log_ns.checked_sub(self.last_ns) {
-            None => self.out_of_order += 1,
+            None => self.found.out_of_order += 1,
             Some(step_ns) => {
                 self.longest_step_ns = self.longest_step_ns.max(step_ns);
                 self.steps.add(step_ns);
@@ -156,15 +150,15 @@ impl Tally {
             self.restarts += 1;
         } else if step > 1 {
             self.missing += u64::from(step - 1);
-            self.first_missing.get_or_insert(place);
+            self.found.first_missing.get_or_insert(place);
         }
     }
 
     pub(super) fn report(self, schemas: &BTreeMap<u16, SchemaReport>) -> ChannelReport {
-        let any = self.messages > 0;
-        let several = self.messages > 1;
+        let (any, several) = (self.found.messages > 0, self.found.messages > 1);
         let seconds = |ns: u64| ns as f64 / 1e9;
-        let span_s = seconds(self.end_ns.saturating_sub(self.start_ns));
+        let span_ns = self.found.start_ns.zip(self.found.end_ns);
+        let span_s = seconds(span_ns.map_or(0, |(start_ns, end_ns)| end_ns - start_ns));
         let median_ns = self.steps.median_ns();
         let sequence = if self.numbers_differ {
             Sequence::Counted { missing: self.missing, restarts: self.restarts }
@@ -177,18 +171,14 @@ impl Tally {
             topic: self.channel.topic,
             message_encoding: self.channel.message_encoding,
             metadata: self.channel.metadata,
-            messages: self.messages,
-            start_ns: any.then_some(self.start_ns),
-            end_ns: any.then_some(self.end_ns),
-            rate_hz: (several && span_s > 0.0).then(|| (self.messages - 1) as f64 / span_s),
+            rate_hz: (several && span_s > 0.0).then(|| (self.found.messages - 1) as f64 / span_s),
             median_step_s: median_ns.map(|median_ns| median_ns / 1e9),
             longest_step_s: several.then(|| seconds(self.longest_step_ns)),
             gaps: median_ns.map_or(0, |median_ns| self.steps.longer_than(GAP_STEPS * median_ns)),
-            out_of_order: self.out_of_order,
             least_delay_s: any.then_some(self.least_delay_ns as f64 / 1e9),
             longest_delay_s: any.then_some(self.longest_delay_ns as f64 / 1e9),
             sequence,
-            first_missing: self.first_missing,
+            ..self.found
         }
     }
 }

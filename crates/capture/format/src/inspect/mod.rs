@@ -34,15 +34,15 @@ const MAX_LISTED_RECORDS: usize = 1000;
 /// findings.
 pub fn inspect(input: impl Read + Seek) -> Result<Inspection, ScanError> {
     let mut scan = Scan::new(input)?;
-    let mut inspector =
-        Inspector { file_bytes: scan.file_bytes(), complete: true, ..Inspector::default() };
+    let found = Inspection { bytes: scan.file_bytes(), complete: true, ..Inspection::default() };
+    let mut inspector = Inspector { found, ..Inspector::default() };
     loop {
         match scan.next_event() {
             Ok(Some(event)) => inspector.take(event),
             Ok(None) => break,
             Err(error @ ScanError::Io { .. }) => return Err(error),
             Err(error) => {
-                inspector.complete = false;
+                inspector.found.complete = false;
                 inspector.error(Some(error.place()), error_words(&error));
                 match scan.resume()? {
                     Some(skipped) => inspector.note_skipped(skipped.from, skipped.to),
@@ -72,36 +72,23 @@ enum Section {
 
 #[derive(Default)]
 struct Inspector {
-    file_bytes: u64,
+    found: Inspection,
     section: Section,
-    complete: bool,
-    header: Option<(String, String)>,
+    has_header: bool,
     records: u64,
     schemas: BTreeMap<u16, SchemaReport>,
     channels: BTreeMap<u16, Tally>,
-    messages: u64,
-    span_ns: Option<(u64, u64)>,
     last_log_ns: u64,
-    out_of_order: u64,
-    outside: u64,
-    chunks: BTreeMap<String, CompressionReport>,
-    attachment_count: u64,
-    attachments: Vec<AttachmentReport>,
-    metadata_count: u64,
-    metadata: Vec<MetadataReport>,
-    errors: u64,
-    notes: u64,
-    findings: Vec<Finding>,
 }
 
 impl Inspector {
     fn find(&mut self, severity: Severity, place: Option<RecordLocation>, what: String) {
         match severity {
-            Severity::Error => self.errors += 1,
-            Severity::Note => self.notes += 1,
+            Severity::Error => self.found.errors += 1,
+            Severity::Note => self.found.notes += 1,
         }
-        if self.findings.len() < MAX_LISTED_FINDINGS {
-            self.findings.push(Finding { severity, place, what });
+        if self.found.findings.len() < MAX_LISTED_FINDINGS {
+            self.found.findings.push(Finding { severity, place, what });
         }
     }
 
@@ -140,11 +127,19 @@ impl Inspector {
             let what = format!("chunk: checksum {found:08x}, stored was {saved:08x}");
             self.error(Some(place), what);
         }
-        let header = &frame.header;
-        let report = self.chunks.entry(header.compression.clone()).or_insert_with(|| {
-            let compression = header.compression.clone();
-            CompressionReport { compression, ..CompressionReport::default() }
-        });
+        let (header, chunks) = (&frame.header, &mut self.found.chunks);
+        let place = match chunks.binary_search_by(|of| of.compression.cmp(&header.compression)) {
+            Ok(place) => place,
+            Err(place) => {
+                let compression = header.compression.clone();
+                chunks.insert(
+                    place,
+                    CompressionReport { compression, ..CompressionReport::default() },
+                );
+                place
+            }
+        };
+        let report = &mut chunks[place];
         report.chunks += 1;
         report.compressed_bytes += header.compressed_size;
         report.uncompressed_bytes += header.uncompressed_size;
@@ -162,7 +157,10 @@ impl Inspector {
         };
         match record {
             Record::Message { header, .. } => self.message(raw.place, &header),
-            Record::Header(header) => self.header = Some((header.profile, header.library)),
+            Record::Header(header) => {
+                self.has_header = true;
+                (self.found.profile, self.found.library) = (header.profile, header.library);
+            }
             Record::Schema { header, data } => self.schema(
                 raw.place,
                 SchemaReport {
@@ -175,9 +173,9 @@ impl Inspector {
             ),
             Record::Channel(channel) => self.channel(raw.place, channel),
             Record::Attachment { header, data, .. } => {
-                self.attachment_count += 1;
-                if self.attachments.len() < MAX_LISTED_RECORDS {
-                    self.attachments.push(AttachmentReport {
+                self.found.attachment_count += 1;
+                if self.found.attachments.len() < MAX_LISTED_RECORDS {
+                    self.found.attachments.push(AttachmentReport {
                         name: header.name,
                         media_type: header.media_type,
                         bytes: data.len() as u64,
@@ -187,12 +185,12 @@ impl Inspector {
                 }
             }
             Record::Metadata(metadata) => {
-                self.metadata_count += 1;
+                self.found.metadata_count += 1;
                 // They tell again what the report says of the channels.
                 let is_listed = metadata.name != CHANNELS;
-                if is_listed && self.metadata.len() < MAX_LISTED_RECORDS {
-                    self.metadata
-                        .push(MetadataReport { name: metadata.name, entries: metadata.metadata });
+                if is_listed && self.found.metadata.len() < MAX_LISTED_RECORDS {
+                    let (name, entries) = (metadata.name, metadata.metadata);
+                    self.found.metadata.push(MetadataReport { name, entries });
                 }
             }
             Record::DataEnd(_) => {
@@ -278,15 +276,13 @@ impl Inspector {
         if self.section != Section::Data {
             self.error(Some(place), "a message after the end of the data");
         }
-        self.messages += 1;
-        let log_ns = header.log_time;
-        if self.messages > 1 && log_ns < self.last_log_ns {
-            self.out_of_order += 1;
-        }
+        let (found, log_ns) = (&mut self.found, header.log_time);
+        found.messages += 1;
+        found.out_of_order += u64::from(log_ns < self.last_log_ns);
         self.last_log_ns = log_ns;
-        let (start_ns, end_ns) = self.span_ns.unwrap_or((log_ns, log_ns));
-        self.span_ns = Some((start_ns.min(log_ns), end_ns.max(log_ns)));
-        self.outside += u64::from(place.in_chunk.is_none());
+        found.start_ns = Some(found.start_ns.map_or(log_ns, |start_ns| start_ns.min(log_ns)));
+        found.end_ns = found.end_ns.max(Some(log_ns));
+        found.messages_outside_chunks += u64::from(place.in_chunk.is_none());
         match self.channels.get_mut(&header.channel_id) {
             Some(tally) => tally.add(header, place),
             None => {
@@ -300,48 +296,28 @@ impl Inspector {
     }
 
     fn finish(mut self) -> Inspection {
-        if self.header.is_none() {
+        if !self.has_header {
             self.error(None, "there is no header");
         }
-        if self.section != Section::Ended {
-            self.complete = false;
+        self.found.complete &= self.section == Section::Ended;
+        if self.found.out_of_order > 0 {
+            let count = self.found.out_of_order;
+            self.note(None, format!("{count} messages are earlier than a message before them"));
         }
-        if self.out_of_order > 0 {
-            let what =
-                format!("{} messages are earlier than a message before them", self.out_of_order);
-            self.note(None, what);
-        }
-        let channels: Vec<ChannelReport> = std::mem::take(&mut self.channels)
-            .into_values()
-            .map(|tally| tally.report(&self.schemas))
-            .collect();
+        let tallies = std::mem::take(&mut self.channels).into_values();
+        let channels: Vec<ChannelReport> =
+            tallies.map(|tally| tally.report(&self.schemas)).collect();
         for channel in &channels {
             if let Some((place, what)) = channel.lost_words() {
                 self.note(place, what);
             }
         }
-        let (profile, library) = self.header.take().unwrap_or_default();
+        let span_ns = self.found.start_ns.zip(self.found.end_ns);
         Inspection {
-            bytes: self.file_bytes,
-            profile,
-            library,
-            complete: self.complete,
-            messages: self.messages,
-            start_ns: self.span_ns.map(|span| span.0),
-            end_ns: self.span_ns.map(|span| span.1),
-            duration_s: self.span_ns.map(|(start, end)| (end - start) as f64 / 1e9),
-            out_of_order: self.out_of_order,
-            chunks: self.chunks.into_values().collect(),
-            messages_outside_chunks: self.outside,
+            duration_s: span_ns.map(|(start, end)| (end - start) as f64 / 1e9),
             schemas: self.schemas.into_values().collect(),
             channels,
-            attachment_count: self.attachment_count,
-            attachments: self.attachments,
-            metadata_count: self.metadata_count,
-            metadata: self.metadata,
-            errors: self.errors,
-            notes: self.notes,
-            findings: self.findings,
+            ..self.found
         }
     }
 }

@@ -9,7 +9,7 @@ use super::finding::{Finding, Severity};
 use super::records::{AttachmentReport, CompressionReport, MetadataReport, SchemaReport};
 
 /// Contents of a file.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Inspection {
     /// Length of the file, bytes.
     pub bytes: u64,

@@ -22,13 +22,6 @@ pub struct Counts {
     pub suspect: u64,
 }
 
-impl Counts {
-    pub(super) fn lose(&mut self, place: RecordLocation, what: String, troubles: &mut Troubles) {
-        self.lost += 1;
-        troubles.add(place, what);
-    }
-}
-
 /// Something that could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
 pub struct Trouble {
@@ -38,24 +31,8 @@ pub struct Trouble {
     pub what: String,
 }
 
-/// The first problems, and their number.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Troubles {
-    listed: Vec<Trouble>,
-    count: u64,
-}
-
-impl Troubles {
-    pub(super) fn add(&mut self, place: RecordLocation, what: String) {
-        self.count += 1;
-        if self.listed.len() < MAX_LISTED_TROUBLES {
-            self.listed.push(Trouble { place, what });
-        }
-    }
-}
-
 /// Result of a recovery.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct Recovery {
     /// Messages.
     pub messages: Counts,
@@ -87,6 +64,13 @@ pub struct Recovery {
 }
 
 impl Recovery {
+    pub(super) fn trouble(&mut self, place: RecordLocation, what: String) {
+        self.trouble_count += 1;
+        if self.troubles.len() < MAX_LISTED_TROUBLES {
+            self.troubles.push(Trouble { place, what });
+        }
+    }
+
     /// True if the file was valid.
     pub fn is_clean(&self) -> bool {
         self.is_lossless() && self.trouble_count == 0
@@ -164,22 +148,12 @@ impl fmt::Display for Recovery {
     }
 }
 
-/// Counters during the scan.
+/// The recovery so far, and the state of its counts during the scan.
 #[derive(Debug, Clone, Default)]
 pub(super) struct Ledger {
-    pub(super) messages: Counts,
-    pub(super) schemas: Counts,
-    pub(super) channels: Counts,
-    pub(super) attachments: Counts,
-    pub(super) metadata: Counts,
-    pub(super) chunks: Counts,
-    pub(super) troubles: Troubles,
-    others_lost: u64,
-    topics: BTreeMap<String, u64>,
+    pub(super) found: Recovery,
     seen_schemas: BTreeSet<u16>,
-    passed_over_bytes: u64,
     chunk: Option<OpenChunk>,
-    doubt: bool,
     data_ended: bool,
     /// Messages may be lost without any index that counts them.
     uncounted: bool,
@@ -199,7 +173,7 @@ struct OpenChunk {
 impl Ledger {
     /// True if nothing that a file is kept for was found.
     pub(super) fn is_empty(&self) -> bool {
-        let kinds = [self.messages, self.attachments, self.metadata];
+        let kinds = [self.found.messages, self.found.attachments, self.found.metadata];
         kinds.iter().all(|counts| counts.recovered == 0)
     }
 
@@ -213,7 +187,7 @@ impl Ledger {
 
     pub(super) fn schema(&mut self, id: u16) {
         if self.seen_schemas.insert(id) {
-            self.schemas.recovered += 1;
+            self.found.schemas.recovered += 1;
         }
     }
 
@@ -222,26 +196,26 @@ impl Ledger {
         self.settle_chunk();
         if std::mem::take(&mut self.data_ended) {
             let what = "chunk: behind what looked like the end of the data".to_owned();
-            self.troubles.add(RecordLocation { offset: frame.offset, in_chunk: None }, what);
+            self.found.trouble(RecordLocation { offset: frame.offset, in_chunk: None }, what);
         }
         self.chunk = Some(OpenChunk::default());
     }
 
     pub(super) fn chunk_ends(&mut self, frame: &ChunkFrame, crc: Crc) {
-        self.chunks.recovered += 1;
+        self.found.chunks.recovered += 1;
         if !crc.is_wrong() {
             return;
         }
         let suspect = self.chunk.map_or(0, |chunk| chunk.recovered);
-        self.chunks.suspect += 1;
-        self.messages.suspect += suspect;
+        self.found.chunks.suspect += 1;
+        self.found.messages.suspect += suspect;
         let (start, end) = (frame.header.message_start_time, frame.header.message_end_time);
         let what = format!(
             "chunk: its checksum is wrong, and its {suspect} messages, log time {start} to {end} \
              ns, are suspect"
         );
         let place = RecordLocation { offset: frame.offset, in_chunk: None };
-        self.troubles.add(place, what);
+        self.found.trouble(place, what);
     }
 
     /// Before a record is processed.
@@ -259,7 +233,8 @@ impl Ledger {
             return;
         };
         if chunk.has_index {
-            self.messages.lost += chunk.indexed.saturating_sub(chunk.recovered + chunk.orphans);
+            self.found.messages.lost +=
+                chunk.indexed.saturating_sub(chunk.recovered + chunk.orphans);
         } else if chunk.broken {
             self.uncounted = true;
         }
@@ -269,7 +244,7 @@ impl Ledger {
         let place = error.place();
         if let (Some(chunk), Some(_)) = (&mut self.chunk, place.in_chunk) {
             chunk.broken = true;
-            self.chunks.lost += 1;
+            self.found.chunks.lost += 1;
         } else if !self.data_ended {
             self.settle_chunk();
             self.uncounted = true;
@@ -277,20 +252,20 @@ impl Ledger {
         let words = error.to_string();
         let begin = format!("{place}: ");
         let what = words.strip_prefix(&begin).unwrap_or(&words).to_owned();
-        self.troubles.add(place, what);
+        self.found.trouble(place, what);
     }
 
     pub(super) fn skipped(&mut self, skipped: Skipped) {
-        self.passed_over_bytes += skipped.to - skipped.from;
+        self.found.passed_over_bytes += skipped.to - skipped.from;
     }
 
     pub(super) fn too_long(&mut self, place: RecordLocation, opcode: u8, bytes: u64) {
         let what = format!("{} of {bytes} bytes is too long to be copied", kind_name(opcode));
         match self.kind(opcode) {
             Some(counts) => counts.lost += 1,
-            None => self.others_lost += 1,
+            None => self.found.others_lost += 1,
         }
-        self.troubles.add(place, what);
+        self.found.trouble(place, what);
     }
 
     pub(super) fn unreadable(&mut self, opcode: u8, error: &ScanError) {
@@ -302,23 +277,23 @@ impl Ledger {
         let words = error.to_string();
         let begin = format!("{}: ", error.place());
         let what = words.strip_prefix(&begin).unwrap_or(&words).to_owned();
-        self.troubles.add(error.place(), what);
+        self.found.trouble(error.place(), what);
     }
 
     fn kind(&mut self, opcode: u8) -> Option<&mut Counts> {
         Some(match opcode {
-            op::MESSAGE => &mut self.messages,
-            op::SCHEMA => &mut self.schemas,
-            op::CHANNEL => &mut self.channels,
-            op::ATTACHMENT => &mut self.attachments,
-            op::METADATA => &mut self.metadata,
+            op::MESSAGE => &mut self.found.messages,
+            op::SCHEMA => &mut self.found.schemas,
+            op::CHANNEL => &mut self.found.channels,
+            op::ATTACHMENT => &mut self.found.attachments,
+            op::METADATA => &mut self.found.metadata,
             _ => return None,
         })
     }
 
     pub(super) fn other_lost(&mut self, place: RecordLocation, what: String) {
-        self.others_lost += 1;
-        self.troubles.add(place, what);
+        self.found.others_lost += 1;
+        self.found.trouble(place, what);
     }
 
     pub(super) fn orphan(&mut self, place: RecordLocation, channel: u16) {
@@ -327,18 +302,19 @@ impl Ledger {
         if let Some(chunk) = &mut self.chunk {
             chunk.orphans += 1;
         }
-        self.messages.lose(place, what, &mut self.troubles);
+        self.found.messages.lost += 1;
+        self.found.trouble(place, what);
     }
 
     pub(super) fn message(&mut self, topic: &str) {
-        self.messages.recovered += 1;
+        self.found.messages.recovered += 1;
         if let Some(chunk) = &mut self.chunk {
             chunk.recovered += 1;
         }
-        match self.topics.get_mut(topic) {
+        match self.found.topics.get_mut(topic) {
             Some(count) => *count += 1,
             None => {
-                self.topics.insert(topic.to_owned(), 1);
+                self.found.topics.insert(topic.to_owned(), 1);
             }
         }
     }
@@ -354,25 +330,25 @@ impl Ledger {
         self.settle_chunk();
         self.data_ended = true;
         if let Some(crc) = crc.filter(Crc::is_wrong) {
-            self.doubt = true;
+            self.found.doubt = true;
             let Crc { saved, found } = crc;
             let what = format!("data section: checksum {found:08x}, stored was {saved:08x}");
             let place = RecordLocation { offset: 0, in_chunk: None };
-            self.troubles.add(place, what);
+            self.found.trouble(place, what);
         }
     }
 
     /// A record that is not allowed in the summary.
     pub(super) fn misplaced(&mut self, place: RecordLocation, opcode: u8) {
         let what = format!("{} behind the end of the data", kind_name(opcode));
-        self.troubles.add(place, what);
+        self.found.trouble(place, what);
     }
 
     pub(super) fn footer(&mut self, place: RecordLocation, crc: Option<Crc>) {
         if let Some(Crc { saved, found }) = crc.filter(Crc::is_wrong) {
             let what =
                 format!("summary: checksum {found:08x}, stored was {saved:08x}. It is recreated");
-            self.troubles.add(place, what);
+            self.found.trouble(place, what);
         }
     }
 
@@ -380,41 +356,28 @@ impl Ledger {
     pub(super) fn settle(mut self, statistics: Option<&Statistics>) -> Recovery {
         self.settle_chunk();
         if let Some(stated) = statistics {
-            if let Some(more) = self.messages.recovered.checked_sub(stated.message_count + 1) {
+            if let Some(more) = self.found.messages.recovered.checked_sub(stated.message_count + 1)
+            {
                 let what = format!("{} messages more than the statistics state", more + 1);
                 let place = RecordLocation { offset: 0, in_chunk: None };
-                self.troubles.add(place, what);
+                self.found.trouble(place, what);
             }
             let exact = |counts: &mut Counts, stated: u64| {
                 counts.lost = stated.saturating_sub(counts.recovered);
             };
-            exact(&mut self.messages, stated.message_count);
-            exact(&mut self.attachments, stated.attachment_count.into());
-            exact(&mut self.metadata, stated.metadata_count.into());
-            exact(&mut self.chunks, stated.chunk_count.into());
+            exact(&mut self.found.messages, stated.message_count);
+            exact(&mut self.found.attachments, stated.attachment_count.into());
+            exact(&mut self.found.metadata, stated.metadata_count.into());
+            exact(&mut self.found.chunks, stated.chunk_count.into());
             let missing = |counts: &mut Counts, stated: u64| {
                 counts.lost = counts.lost.max(stated.saturating_sub(counts.recovered));
             };
-            missing(&mut self.schemas, stated.schema_count.into());
-            missing(&mut self.channels, stated.channel_count.into());
+            missing(&mut self.found.schemas, stated.schema_count.into());
+            missing(&mut self.found.channels, stated.channel_count.into());
         }
         // A changed opcode can hide a whole chunk. Only the checksum of the data section shows it.
-        let uncounted = self.uncounted || self.doubt || !self.data_ended;
-        let lost_unknown = statistics.is_none() && uncounted;
-        Recovery {
-            messages: self.messages,
-            schemas: self.schemas,
-            channels: self.channels,
-            attachments: self.attachments,
-            metadata: self.metadata,
-            chunks: self.chunks,
-            others_lost: self.others_lost,
-            topics: self.topics,
-            lost_unknown,
-            doubt: self.doubt,
-            passed_over_bytes: self.passed_over_bytes,
-            trouble_count: self.troubles.count,
-            troubles: self.troubles.listed,
-        }
+        let uncounted = self.uncounted || self.found.doubt || !self.data_ended;
+        self.found.lost_unknown = statistics.is_none() && uncounted;
+        self.found
     }
 }

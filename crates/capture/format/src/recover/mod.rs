@@ -296,11 +296,11 @@ impl<W: Write + Seek> Rescue<W> {
                     data,
                 };
                 self.writer.attach(&attachment).map_err(failed)?;
-                self.ledger.attachments.recovered += 1;
+                self.ledger.found.attachments.recovered += 1;
             }
             Record::Metadata(metadata) => {
                 self.writer.write_metadata(&metadata).map_err(failed)?;
-                self.ledger.metadata.recovered += 1;
+                self.ledger.found.metadata.recovered += 1;
             }
             Record::MessageIndex(index) => self.ledger.message_index(index.records.len() as u64),
             Record::DataEnd(_) => self.ledger.data_ends(raw.crc),
@@ -324,11 +324,10 @@ impl<W: Write + Seek> Rescue<W> {
         let added = self.writer.add_schema_with_id(id, name, encoding, data);
         match refused(added)? {
             None => self.ledger.schema(id),
-            Some(why) => self.ledger.schemas.lose(
-                place,
-                format!("schema {id} ({name}): {why}"),
-                &mut self.ledger.troubles,
-            ),
+            Some(why) => {
+                self.ledger.found.schemas.lost += 1;
+                self.ledger.found.trouble(place, format!("schema {id} ({name}): {why}"));
+            }
         }
         Ok(())
     }
@@ -350,12 +349,13 @@ impl<W: Write + Seek> Rescue<W> {
         match refused(added)? {
             None => {
                 if self.known.insert(channel.id, channel.topic).is_none() {
-                    self.ledger.channels.recovered += 1;
+                    self.ledger.found.channels.recovered += 1;
                 }
             }
             Some(why) => {
                 let what = format!("channel {} ({}): {why}", channel.id, channel.topic);
-                self.ledger.channels.lose(place, what, &mut self.ledger.troubles);
+                self.ledger.found.channels.lost += 1;
+                self.ledger.found.trouble(place, what);
             }
         }
         Ok(())
