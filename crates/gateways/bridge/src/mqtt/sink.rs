@@ -39,25 +39,18 @@ struct Topic {
 
 /// Publishes to the topics of a broker.
 pub(crate) struct MqttSink {
-    fleet: String,
-    name: String,
-    robots: Robots,
+    start: Start,
     topics: Vec<Topic>,
-    changes: Receiver<FleetAlarm>,
     waiting: VecDeque<AlarmRecord>,
     /// Number of topics to which the first waiting change was published.
     published_to: usize,
     /// Changes handed to the connection lately, with the monotonic time, ns. If the connection
     /// breaks, they may not have arrived.
     handed: VecDeque<(u64, AlarmRecord)>,
-    arrives_within_ns: u64,
-    outlet: Arc<Outlet>,
     connections: u64,
-    shared: Arc<Shared>,
-    lost: Arc<AtomicU64>,
 }
 
-/// The arguments of [`MqttSink::new`].
+/// What a [`MqttSink`] is made with.
 pub(crate) struct Start {
     pub(crate) fleet: String,
     pub(crate) name: String,
@@ -74,23 +67,23 @@ pub(crate) struct Start {
 impl Sink for MqttSink {
     fn publish(&mut self, board: &Board, times: Times) {
         self.take_changes(times);
-        if self.outlet.is_connected() {
+        if self.start.outlet.is_connected() {
             self.publish_due(board, times);
         }
     }
 
     fn finish(&mut self) {
         let mut count = self.waiting.len();
-        if !self.outlet.is_connected() {
+        if !self.start.outlet.is_connected() {
             // They may not have arrived, and are not sent again.
             count += self.handed.len();
         }
-        self.lost.fetch_add(count as u64, Ordering::Relaxed);
+        self.start.lost.fetch_add(count as u64, Ordering::Relaxed);
     }
 }
 
 impl MqttSink {
-    pub(crate) fn new(start: Start) -> Self {
+    pub(crate) fn new(mut start: Start) -> Self {
         let topic = |write: Write| Topic {
             due_ns: 0,
             published: HashMap::new(),
@@ -98,38 +91,30 @@ impl MqttSink {
             kept: start.robots.iter().map(|(robot, _)| robot).filter(|_| write.retain).collect(),
             write,
         };
-        let topics = start.writes.into_iter().map(topic).collect();
         Self {
-            fleet: start.fleet,
-            name: start.name,
-            robots: start.robots,
-            topics,
-            changes: start.changes,
+            topics: std::mem::take(&mut start.writes).into_iter().map(topic).collect(),
+            start,
             waiting: VecDeque::new(),
             published_to: 0,
             handed: VecDeque::new(),
-            arrives_within_ns: start.arrives_within_ns,
             connections: 0,
-            outlet: start.outlet,
-            shared: start.shared,
-            lost: start.lost,
         }
     }
 
     fn take_changes(&mut self, times: Times) {
-        for change in self.changes.try_iter() {
+        for change in self.start.changes.try_iter() {
             if self.waiting.len() >= MAX_WAITING {
                 self.waiting.pop_front();
                 self.published_to = 0;
-                self.lost.fetch_add(1, Ordering::Relaxed);
+                self.start.lost.fetch_add(1, Ordering::Relaxed);
             }
-            let record = AlarmRecord::new(&self.fleet, &change, times.unix_ns(change.at_ns));
+            let record = AlarmRecord::new(&self.start.fleet, &change, times.unix_ns(change.at_ns));
             self.waiting.push_back(record);
         }
     }
 
     fn publish_due(&mut self, board: &Board, times: Times) {
-        let connections = self.outlet.connections();
+        let connections = self.start.outlet.connections();
         if connections != self.connections {
             // This is another broker, or one that has lost its retained documents: publish
             // everything again.
@@ -139,7 +124,7 @@ impl MqttSink {
                 topic.published.clear();
                 if topic.write.retain {
                     // The broker may also have missed the end of a retained document.
-                    topic.kept = self.robots.iter().map(|(robot, _)| robot).collect();
+                    topic.kept = self.start.robots.iter().map(|(robot, _)| robot).collect();
                 }
             }
             while let Some((_, record)) = self.handed.pop_back() {
@@ -161,9 +146,9 @@ impl MqttSink {
 
     /// Passes on the states of vehicles, each with the newest outlook.
     fn pass_on(&self, board: &Board, times: Times) {
-        for State { robot, topic, mut document } in self.shared.take_states() {
+        for State { robot, topic, mut document } in self.start.shared.take_states() {
             let row = board.rows.get(&robot).filter(|_| board.is_reliable);
-            if let (Some(row), Some(name)) = (row, self.robots.name(robot)) {
+            if let (Some(row), Some(name)) = (row, self.start.robots.name(robot)) {
                 let outlook = board.outlooks.get(&robot);
                 let unix_ns = |at_ns| times.unix_ns(at_ns);
                 add_outlook(&mut document, &values((robot, name), &row.newest(), outlook, unix_ns));
@@ -171,27 +156,27 @@ impl MqttSink {
             let payload = document.to_string().into_bytes();
             let qos = QoS::AtMostOnce;
             let state = Outgoing { topic, payload, qos, retain: false, expires_s: None };
-            if !self.outlet.write(state) {
-                self.outlet.count_lost();
+            if !self.start.outlet.write(state) {
+                self.start.outlet.count_lost();
             }
         }
     }
 
     fn publish_changes(&mut self, now_ns: u64) {
-        let since_ns = now_ns.saturating_sub(self.arrives_within_ns);
+        let since_ns = now_ns.saturating_sub(self.start.arrives_within_ns);
         while self.handed.front().is_some_and(|(at_ns, _)| *at_ns < since_ns) {
             self.handed.pop_front();
         }
         let topics = self.topics.iter().filter(|topic| topic.write.what == What::AlarmChanges);
         let topics: Vec<&Topic> = topics.collect();
         while let Some(record) = self.waiting.front() {
-            let name = record.robot.and_then(|robot| self.robots.name(robot));
+            let name = record.robot.and_then(|robot| self.start.robots.name(robot));
             let mut document = json!(record);
             document["name"] = json!(name);
             let payload = document.to_string().into_bytes();
             for topic in &topics[self.published_to.min(topics.len())..] {
                 // Retried later, from this topic on.
-                if !self.outlet.write(topic.write.message("", payload.clone())) {
+                if !self.start.outlet.write(topic.write.message("", payload.clone())) {
                     return;
                 }
                 self.published_to += 1;
@@ -204,20 +189,20 @@ impl MqttSink {
 
     fn publish_status(&mut self, place: usize, board: &Board, times: Times) {
         let topic = &mut self.topics[place];
-        let unmapped = self.shared.account().records();
-        let implausible = self.shared.intake().judgement().records();
+        let unmapped = self.start.shared.account().records();
+        let implausible = self.start.shared.intake().judgement().records();
         let status = json!({
-            "fleet": self.fleet,
-            "bridge": self.name,
+            "fleet": self.start.fleet,
+            "bridge": self.start.name,
             "state": "online",
             "at_unix_ns": times.now_unix_ns,
             "worker": board.link.name(),
-            "messages": self.shared.messages(),
+            "messages": self.start.shared.messages(),
             "unmapped": unmapped,
             "implausible": implausible,
         });
         let status = status.to_string().into_bytes();
-        if self.outlet.write(topic.write.message("", status)) {
+        if self.start.outlet.write(topic.write.message("", status)) {
             topic.due_ns = next_due_ns(topic.due_ns, topic.write.every_ns, times.now_ns);
         }
     }
@@ -231,24 +216,24 @@ impl MqttSink {
         }
         let mut left = topic.kept.clone();
         for (robot, row) in &board.rows {
-            let Some(name) = self.robots.name(*robot) else {
+            let Some(name) = self.start.robots.name(*robot) else {
                 continue;
             };
             left.remove(robot);
             let outlook = board.outlooks.get(robot);
             let unix_ns = |at_ns| times.unix_ns(at_ns);
             let values = values((*robot, name), &row.newest(), outlook, unix_ns);
-            topic.publish(*robot, name, &values, &self.outlet);
+            topic.publish(*robot, name, &values, &self.start.outlet);
         }
         for robot in left {
             // An empty message deletes a retained document.
-            let name = self.robots.name(robot).unwrap_or_default();
+            let name = self.start.robots.name(robot).unwrap_or_default();
             let message = Outgoing {
                 qos: QoS::AtLeastOnce,
                 retain: true,
                 ..topic.write.message(name, Vec::new())
             };
-            if self.outlet.write(message) {
+            if self.start.outlet.write(message) {
                 topic.kept.remove(&robot);
                 topic.published.remove(&robot);
             }
@@ -383,11 +368,11 @@ mod tests {
         assert_eq!((outlet.sent(), outlet.lost()), (3, 0));
         assert_eq!((sink.waiting.len(), sink.published_to), (1, 1));
         sink.finish();
-        assert_eq!(sink.lost.load(Ordering::Relaxed), 1, "never published to all");
+        assert_eq!(sink.start.lost.load(Ordering::Relaxed), 1, "never published to all");
         outlet.disconnected();
         sink.finish();
         assert_eq!(
-            sink.lost.load(Ordering::Relaxed),
+            sink.start.lost.load(Ordering::Relaxed),
             1 + 2,
             "what was handed over may not have arrived either"
         );

@@ -76,11 +76,11 @@ pub(crate) const HEADS_BYTES: usize = size_of::<Prelude>() + size_of::<FrameHead
 /// Identity of a fleet in messages: FNV-1a hash of its name. Hosts of other fleets refuse each
 /// other.
 #[repr(transparent)]
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Pod, Zeroable)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Pod, Zeroable)]
 pub(crate) struct FleetId(pub(crate) u64);
 
 /// Identity of the sending link.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct Sender {
     pub(crate) fleet: FleetId,
     /// When the link started, monotonic ns of its host.
@@ -147,7 +147,7 @@ pub(crate) struct Status {
 }
 
 /// A request for frames.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Request {
     /// Acknowledgement: run and number of the sender's newest message that has arrived. 0 before
     /// the first.

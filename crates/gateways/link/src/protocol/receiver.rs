@@ -87,7 +87,7 @@ struct Position {
 }
 
 /// The stream from one sender.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Receiver {
     own: Sender,
     selection: Selection,
@@ -114,23 +114,7 @@ pub(crate) struct Receiver {
 
 impl Receiver {
     pub(crate) fn new(own: Sender, selection: Selection) -> Self {
-        Self {
-            own,
-            selection,
-            asked: 0,
-            asked_ns: 0,
-            newest: None,
-            received_ns: 0,
-            owes: false,
-            unanswered: 0,
-            unanswered_ns: 0,
-            is_silent: true,
-            has_rival: false,
-            leader: LeaderStatus::default(),
-            offset: Offset::default(),
-            clock: None,
-            received: Received::default(),
-        }
+        Self { own, selection, is_silent: true, ..Self::default() }
     }
 
     /// Changes the requested services from now on.

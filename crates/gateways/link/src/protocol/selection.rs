@@ -6,7 +6,7 @@ use crate::protocol::carried::Carried;
 pub(crate) const MAX_RANGES: usize = 64;
 
 /// Services, decimation and robots.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct Selection {
     /// [`Carried::bit`]s.
     pub(crate) services: u32,

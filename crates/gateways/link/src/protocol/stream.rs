@@ -64,7 +64,7 @@ pub(crate) struct Sent {
 }
 
 /// The frames for one receiver, from its first request until it is silent.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Stream {
     /// Its run is the start of the stream. A stream after a silence has another run.
     sender: Sender,
@@ -95,13 +95,8 @@ impl Stream {
             sender: Sender { fleet, run: now_ns },
             request,
             received_ns: now_ns,
-            number: 0,
-            status_ns: 0,
-            statuses: VecDeque::new(),
             shortest_ns: ACK_TIMEOUT_NS,
-            lanes: BTreeMap::new(),
-            realtime_ns: 0,
-            sent: Sent::default(),
+            ..Self::default()
         }
     }
 
