@@ -20,7 +20,6 @@ use crate::mapping::ros::outgoing::RosWhat;
 
 pub(crate) use mqtt::{MqttSettings, VERSIONS, Write};
 pub(crate) use ros2::{Ros2Settings, RosWrite};
-pub(crate) use tls::TlsError;
 
 /// The checked settings of a bridge.
 #[derive(Debug, Clone)]
@@ -187,7 +186,7 @@ mod tests {
     use std::path::Path;
 
     use joulebus_config::File;
-    use joulebus_testkit::cases;
+    use joulebus_testkit::{assert_contains, cases};
 
     use super::*;
 
@@ -205,6 +204,22 @@ mod tests {
         Settings::new(&CheckedFile::load(&path, File::Bridge)?, &config)
     }
 
+    /// Each change of a good file is refused, with the words and a problem in the line.
+    fn assert_refused(good: &str, table: &str) {
+        for case in cases(table) {
+            let [from, to, line, expected] = case.as_slice() else {
+                panic!("{case:?}");
+            };
+            let text = good.replacen(from, to, 1);
+            assert_ne!(text, good, "{from}");
+            let refused = load(&text).expect_err(to);
+            assert_contains(&refused, [expected]);
+            let mut lines = refused.problems().iter().filter_map(|problem| problem.line);
+            let line: usize = line.parse().unwrap();
+            assert!(lines.any(|found| found == line), "{to}: {refused}");
+        }
+    }
+
     #[test]
     fn a_good_file_is_taken() {
         let settings = load(GOOD).unwrap();
@@ -220,7 +235,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_with_its_line() {
-        for case in cases(
+        assert_refused(
+            GOOD,
             r#"
             broker = | borker = | 5 | nearest key is `mqtt.broker`
             "localhost:1883" | "localhost" | 5 | host:port
@@ -251,20 +267,7 @@ mod tests {
             [mqtt] | [mqtt]\ntls = { ca = "bridge.toml" } | 5 | BEGIN CERTIFICATE
             [mqtt] | [mqtt]\ntls = { ca = "a.pem", key = "a.key" } | 5 | `certificate` and `key`
             "#,
-        ) {
-            let [from, to, line, expected] = case.as_slice() else {
-                panic!("{case:?}");
-            };
-            let line: usize = line.parse().unwrap();
-            let text = GOOD.replacen(from, to, 1);
-            assert_ne!(text, GOOD);
-            let refused = load(&text).expect_err(to);
-            let shown = refused.to_string();
-            assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> =
-                refused.problems().iter().filter_map(|problem| problem.line).collect();
-            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
-        }
+        );
     }
 
     const ROS: &str = "[robots]\n\"r{id}\" = \"0-3\"\nlifter = 7\n[ros2]\ndomain_id = 7\nnetworks = [\"127.0.0.1\"]\n\
@@ -287,7 +290,8 @@ mod tests {
 
     #[test]
     fn what_is_wrong_for_ros_2_is_named_with_its_line() {
-        for case in cases(
+        assert_refused(
+            ROS,
             r#"
             domain_id = 7 | domain_id = 233 | 5 | 0 to 232
             domain_id = 7 | domain = 7 | 5 | nearest key is `ros2.domain_id`
@@ -315,20 +319,7 @@ mod tests {
             "diagnostics" | "diagnostics"\nunit = "W" | 16 | belongs to
             [ros2] | [mqtt]\nbroker = "h:1"\n[ros2]\nuse_sim_time = true | 7 | no simulated time
             "#,
-        ) {
-            let [from, to, line, expected] = case.as_slice() else {
-                panic!("{case:?}");
-            };
-            let line: usize = line.parse().unwrap();
-            let text = ROS.replacen(from, to, 1);
-            assert_ne!(text, ROS, "{from}");
-            let refused = load(&text).expect_err(to);
-            let shown = refused.to_string();
-            assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> =
-                refused.problems().iter().filter_map(|problem| problem.line).collect();
-            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
-        }
+        );
         let nothing = load("[robots]\nr = 1\n[ros2]\n").unwrap_err().to_string();
         assert!(nothing.contains("neither reads nor writes"), "{nothing}");
     }

@@ -1,6 +1,5 @@
 //! Checks and reads the files of `[mqtt.tls]`.
 
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -22,32 +21,18 @@ pub(crate) struct TlsSettings {
     identity: Option<(PathBuf, PathBuf)>,
 }
 
-/// Reason that a file is refused.
-#[derive(Debug, thiserror::Error)]
-pub(crate) enum TlsError {
-    #[error("cannot be read: {0}")]
-    Read(#[from] io::Error),
-    #[error("has no certificate, expected PEM, -----BEGIN CERTIFICATE-----")]
-    NoCertificate,
-    #[error("has no key, expected PEM without a password, -----BEGIN PRIVATE KEY-----")]
-    NoKey,
-    #[error("is damaged: {0}")]
-    Pem(pem::Error),
-    #[error("is refused: {0}")]
-    Refused(#[from] rustls::Error),
-}
-
 impl TlsSettings {
-    /// Reads the files.
-    pub(crate) fn load(&self) -> Result<Arc<ClientConfig>, (&'static str, TlsError)> {
+    /// Reads the files. The error has the key of the file that is refused.
+    pub(crate) fn load(&self) -> Result<Arc<ClientConfig>, (&'static str, String)> {
+        let refused = |error: rustls::Error| format!("is refused: {error}");
         let mut roots = RootCertStore::empty();
         for certificate in certificates(&self.ca).map_err(|error| ("ca", error))? {
-            roots.add(certificate).map_err(|error| ("ca", error.into()))?;
+            roots.add(certificate).map_err(|error| ("ca", refused(error)))?;
         }
         let provider = Arc::new(rustls::crypto::ring::default_provider());
         let builder = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(|error| ("ca", error.into()))?
+            .map_err(|error| ("ca", refused(error)))?
             .with_root_certificates(roots);
         let Some((certificate, key)) = &self.identity else {
             return Ok(Arc::new(builder.with_no_client_auth()));
@@ -55,25 +40,29 @@ impl TlsSettings {
         let certificates = certificates(certificate).map_err(|error| ("certificate", error))?;
         let key = private_key(key).map_err(|error| ("key", error))?;
         let config = builder.with_client_auth_cert(certificates, key);
-        Ok(Arc::new(config.map_err(|error| ("key", error.into()))?))
+        Ok(Arc::new(config.map_err(|error| ("key", refused(error)))?))
     }
 }
 
-fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
-    let bytes = joulebus_files::read(path, MAX_BYTES)?;
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, String> {
+    let bytes = joulebus_files::read(path, MAX_BYTES)
+        .map_err(|error| format!("cannot be read: {error}"))?;
     let found: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&bytes).collect();
-    let found = found.map_err(TlsError::Pem)?;
+    let found = found.map_err(|error| format!("is damaged: {error}"))?;
     if found.is_empty() {
-        return Err(TlsError::NoCertificate);
+        return Err("has no certificate, expected PEM, -----BEGIN CERTIFICATE-----".to_owned());
     }
     Ok(found)
 }
 
-fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>, TlsError> {
-    let text = joulebus_files::read_secret(path, MAX_BYTES)?;
+fn private_key(path: &Path) -> Result<PrivateKeyDer<'static>, String> {
+    let text = joulebus_files::read_secret(path, MAX_BYTES)
+        .map_err(|error| format!("cannot be read: {error}"))?;
     PrivateKeyDer::from_pem_slice(text.as_bytes()).map_err(|error| match error {
-        pem::Error::NoItemsFound => TlsError::NoKey,
-        error => TlsError::Pem(error),
+        pem::Error::NoItemsFound => {
+            "has no key, expected PEM without a password, -----BEGIN PRIVATE KEY-----".to_owned()
+        }
+        error => format!("is damaged: {error}"),
     })
 }
 

@@ -18,7 +18,7 @@ use mqtt5_protocol::{
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustls::{AlertDescription, CertificateError, Error as TlsError, PeerIncompatible};
 
-use crate::config::{MqttSettings, TlsError as FileError};
+use crate::config::MqttSettings;
 use crate::mqtt::inbox::{Inbox, Incoming};
 use crate::mqtt::outlet::{Outgoing, Outlet};
 use crate::mqtt::transport::Transport;
@@ -48,7 +48,7 @@ pub(crate) enum Lost {
     #[error("{error}. {}", tls_remedy(.error))]
     Tls { error: TlsError },
     #[error("the file of `mqtt.tls.{key}` {error}")]
-    File { key: &'static str, error: FileError },
+    File { key: &'static str, error: String },
     /// Before the broker has answered.
     #[error(
         "it ended the connection without an answer. A port of TLS needs [mqtt.tls], \

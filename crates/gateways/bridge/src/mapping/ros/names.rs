@@ -14,25 +14,13 @@ const TYPES: [(RosType, &str); 6] = [
     (RosType::BatteryStateArray, "spot_msgs/msg/BatteryStateArray"),
 ];
 
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub(crate) enum NameError {
-    #[error(
-        "becomes {found:?} for a robot, which is no topic of ROS 2. A topic begins with a slash, and \
-         has at most {MAX_BYTES} bytes. Its parts are letters, digits and single underscores, and \
-         do not begin with a digit"
-    )]
-    Topic { found: String },
-    #[error("is no type that is read, allowed are {allowed}")]
-    Type { allowed: String },
-}
-
 /// The type called `name`. `msg/` may be left out.
-pub(crate) fn read_type(name: &str) -> Result<RosType, NameError> {
+pub(crate) fn read_type(name: &str) -> Result<RosType, String> {
     let is_it = |usual: &str| usual == name || usual.replacen("/msg/", "/", 1) == name;
     let found = TYPES.iter().find(|(_, usual)| is_it(usual));
     found.map(|(kind, _)| *kind).ok_or_else(|| {
         let all: Vec<&str> = TYPES.iter().map(|(_, name)| *name).collect();
-        NameError::Type { allowed: all.join(", ") }
+        format!("is no type that is read, allowed are {}", all.join(", "))
     })
 }
 
@@ -62,7 +50,7 @@ pub(crate) fn node_name(bridge: &str) -> String {
     format!("joulebus_{}", bridge.chars().map(letter).collect::<String>())
 }
 
-pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
+pub(crate) fn check_topic(topic: &str) -> Result<(), String> {
     let is_part = |part: &str| {
         let is_letter = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
         !part.is_empty()
@@ -72,7 +60,13 @@ pub(crate) fn check_topic(topic: &str) -> Result<(), NameError> {
     };
     let parts = topic.strip_prefix('/').filter(|_| topic.len() <= MAX_BYTES);
     let is_topic = parts.is_some_and(|parts| parts.split('/').all(is_part));
-    is_topic.then_some(()).ok_or_else(|| NameError::Topic { found: topic.to_owned() })
+    is_topic.then_some(()).ok_or_else(|| {
+        format!(
+            "becomes {topic:?} for a robot, which is no topic of ROS 2. A topic begins with a slash, \
+             and has at most {MAX_BYTES} bytes. Its parts are letters, digits and single \
+             underscores, and do not begin with a digit"
+        )
+    })
 }
 
 #[cfg(test)]
@@ -105,7 +99,7 @@ mod tests {
         {
             assert_eq!(dds_type(ros_type(read_type(name).unwrap())), dds);
         }
-        let refused = read_type("std_msgs/msg/Float64").unwrap_err().to_string();
+        let refused = read_type("std_msgs/msg/Float64").unwrap_err();
         assert!(refused.contains("nav_msgs/msg/Odometry"), "{refused}");
     }
 }
