@@ -233,6 +233,8 @@ impl Check {
 mod tests {
     use std::fs;
 
+    use joulebus_testkit::assert_contains;
+
     use super::*;
 
     const FLEET: &str = "[fleet]\nname = \"lab\"\ncapacity = 20\n\
@@ -248,6 +250,16 @@ mod tests {
         let path = folder.path().join("link.toml");
         fs::write(&path, text).unwrap();
         Settings::load(&path, &config)
+    }
+
+    /// A change of a good file is refused, with the words and a problem in the line.
+    fn assert_refused(good: &str, (from, to): (&str, &str), line: usize, expected: &str) {
+        let text = good.replacen(from, to, 1);
+        assert_ne!(text, good, "{from}");
+        let refused = load(&text).expect_err(to);
+        assert_contains(&refused, [expected]);
+        let mut lines = refused.problems().iter().filter_map(|problem| problem.line);
+        assert!(lines.any(|found| found == line), "{to}: {refused}");
     }
 
     #[test]
@@ -325,14 +337,7 @@ mod tests {
             ),
             (OTHER, "connect = [\"tcp/127.0.0.1:7447\"]", "mode = \"client\"", 2, "router"),
         ] {
-            let text = base.replacen(from, to, 1);
-            assert_ne!(text, base, "{from}");
-            let refused = load(&text).expect_err(to);
-            let shown = refused.to_string();
-            assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> =
-                refused.problems().iter().filter_map(|problem| problem.line).collect();
-            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+            assert_refused(base, (from, to), line, expected);
         }
     }
 
@@ -378,13 +383,7 @@ mod tests {
             (&candidate, WORKERS, "", 5, "decides nothing here"),
             (&candidate, LEASE, "", 1, "a lease in etcd decides"),
         ] {
-            let text = text.replacen(from, to, 1);
-            let refused = load(&text).expect_err(to);
-            let shown = refused.to_string();
-            assert!(shown.contains(expected), "{to}: {shown}");
-            let lines: Vec<_> =
-                refused.problems().iter().filter_map(|problem| problem.line).collect();
-            assert!(lines.contains(&line), "{to}: {lines:?} {shown}");
+            assert_refused(text, (from, to), line, expected);
         }
     }
 
