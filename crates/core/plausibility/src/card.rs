@@ -61,6 +61,7 @@ sentinel | a number stands for no reading | what the driver writes where the mon
   error | a number far from all others comes again and again (−999, 65535)
   error | single voltages of exactly 0
   warning | longer stretches of 0 V
+  warning | a single power or current of twenty times all others
   warning | powers or currents of exactly 0, and no other one near 0
 mismatch | power differs from voltage times current | whether all three are of one circuit, and the monitor's own power register
   error | power differs from voltage times current by more than 10 % in more than half of the readings

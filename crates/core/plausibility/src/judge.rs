@@ -8,7 +8,7 @@ use crate::hold::Hold;
 use crate::observation::Observation;
 use crate::quantity::{Quantity, number};
 use crate::saturation::{saturated, wraps};
-use crate::sentinel::{Reserved, dropped, sentinel, silent};
+use crate::sentinel::{Reserved, dropped, outlier, sentinel, silent};
 use crate::sign::{Sign, negative_voltage};
 use crate::sizes::Sizes;
 use crate::unit::Magnitudes;
@@ -590,6 +590,14 @@ fn sentinels(quantity: Quantity, column: &Column) -> Option<Finding> {
         };
         let what = format!("{name} is exactly 0 in {count} of {of} readings {what}");
         (Severity::Warning, count, what, (0.0, 0.0))
+    } else if let Some((count, value)) =
+        outlier(column).filter(|_| matches!(quantity, Power | Current) && column.outside == 0)
+    {
+        let what = format!(
+            "{name} is {} in {count} of {of} readings, far from all others",
+            quantity.shown(value)
+        );
+        (Severity::Warning, count, what, (value, value))
     } else {
         let (count, single) = dropped(column).filter(|_| quantity == Voltage)?;
         let what =

@@ -1,7 +1,7 @@
 //! Numbers that mean that there is no reading.
 
 use crate::battery::{COARSE, NEAR_A};
-use crate::column::Column;
+use crate::column::{Column, End};
 use crate::quantity::UNMEASURED_A;
 
 /// Readings before they count.
@@ -10,6 +10,9 @@ const MIN_COUNT: u64 = 3;
 const MIN_OTHERS: u64 = 5;
 /// Size of such a number in multiples of all others, and its distance from them.
 const FAR: f64 = 5.0;
+/// The same of one that comes once or twice among many.
+const ALONE: f64 = 20.0;
+const MANY: u64 = 50;
 /// The same of a number that is used for it.
 const NAMED_SIZE: f64 = 1.5;
 /// Consecutive readings of one that is not: a state of the robot lasts longer.
@@ -51,12 +54,30 @@ pub(crate) struct Sentinel {
     pub(crate) written: f64,
 }
 
-pub(crate) fn sentinel(column: &Column) -> Option<Sentinel> {
-    let ends = [
+/// Each end of a column: how often it comes, the value, the next one, and the other end.
+fn ends(column: &Column) -> [(End, f64, f64, f64); 2] {
+    [
         (column.at_least, column.least, column.above_least, column.greatest),
         (column.at_greatest, column.greatest, column.below_greatest, column.least),
-    ];
-    let found = ends.into_iter().find(|(end, value, next, other)| {
+    ]
+}
+
+/// A number that came too seldom to be a sentinel, and is much greater than all others: how often,
+/// and the number. The last one may be the first of others.
+pub(crate) fn outlier(column: &Column) -> Option<(u64, f64)> {
+    let is_alone = |(end, value, next, other): &(End, f64, f64, f64)| {
+        let size = next.abs().max(other.abs());
+        end.count < MIN_COUNT
+            && column.count - end.count >= MANY
+            && size > 0.0
+            && value.abs() >= ALONE * size
+            && column.last != *value
+    };
+    ends(column).into_iter().find(is_alone).map(|(end, value, ..)| (end.count, value))
+}
+
+pub(crate) fn sentinel(column: &Column) -> Option<Sentinel> {
+    let found = ends(column).into_iter().find(|(end, value, next, other)| {
         let (gap, span) = ((next - value).abs(), (other - next).abs());
         let size = next.abs().max(other.abs());
         let is_far = value.abs() >= FAR * size

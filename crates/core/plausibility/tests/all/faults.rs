@@ -1,7 +1,7 @@
 //! Faults of registers, of missing readings and of parts of a recording, planted in simulated
 //! recordings; those of the grid have none of them.
 
-use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Source};
+use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Severity, Source};
 
 use super::robot::{Numbers, Recording, current_above, judged};
 
@@ -152,6 +152,25 @@ fn numbers_that_stand_for_no_reading_are_found() {
         }
         let found = judged(Known::default(), &rows);
         assert!(is_found(&found, Kind::Sentinel, Quantity::Voltage), "{one:?}: {found:?}");
+    }
+}
+
+/// A last one may be the first of a robot that starts to drive.
+#[test]
+fn a_single_power_far_from_all_others_is_told_unless_it_is_the_last() {
+    for one in robots() {
+        let mut rows = one.rows();
+        let most_w = rows.iter().map(|row| row.power_w).fold(0.0, f64::max);
+        let (at, last) = (rows.len() / 2, rows.len() / 2 + 1);
+        (rows[at].power_w, rows[at].current_a) = (25.0 * most_w, f64::NAN);
+        let of = |rows: &[Observation]| {
+            let found = judged(Known::default(), rows);
+            let is_one = |found: &&Finding| found.kind == Kind::Sentinel;
+            found.iter().find(is_one).map(|found| (found.severity, found.quantity, found.readings))
+        };
+        let told = (Severity::Warning, Some(Quantity::Power), 1);
+        assert_eq!(of(&rows), Some(told), "{one:?}");
+        assert_eq!(of(&rows[..last]), None, "{one:?}");
     }
 }
 
