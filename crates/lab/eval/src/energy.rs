@@ -12,8 +12,8 @@ use joulebus_predictor::{
     Features, INPUTS, LAGS, Linear, Model, ReadingAge, RolloutStart, Rollouts,
 };
 use joulebus_wire::{Sample, sample_flag};
+use serde::Serialize;
 use serde::ser::{SerializeMap as _, Serializer};
-use serde::{Deserialize, Serialize};
 
 /// Readings before the first forecast.
 const FIRST: usize = LAGS;
@@ -82,7 +82,7 @@ pub struct EnergyErrors {
 }
 
 /// One forecast of each kind, and the measured energy.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug)]
 struct Scored {
     energy_j: f64,
     forecasts_j: [f64; FORECASTS.len()],
@@ -93,7 +93,7 @@ struct Scored {
 }
 
 /// Forecasts of several recordings, to be [summed up](EnergyScores::errors).
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default)]
 pub struct EnergyScores {
     scored: [Vec<Scored>; HORIZONS_S.len()],
 }

@@ -14,7 +14,7 @@ use joulebus_wire::{
     DropCounts, InvalidReason, Quality, SCHEMA_VERSION, Sample, SampleHeader, diagnostic_flag,
     sample_flag,
 };
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
 pub(crate) use report::{LivePool, LiveTrial};
@@ -43,7 +43,7 @@ pub enum EvaluateError {
 }
 
 /// The origin of the forecasts that are published, and so scored.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Forecast {
     /// The forecast learned online for each robot from its last reading, the network and the

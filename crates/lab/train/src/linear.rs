@@ -9,8 +9,7 @@ use std::fmt;
 
 use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet, Features, LAGS};
 use nalgebra::{Cholesky, DMatrix, DVector, SMatrix, SVector};
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::Serialize;
 
 use joulebus_dataset::rows::Row;
 
@@ -129,7 +128,7 @@ pub enum LinearError {
 }
 
 /// Reason that a feature has no coefficient.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Dropped {
@@ -400,7 +399,7 @@ impl Linear {
     /// # Errors
     /// [`LinearError::TooFewRows`].
     pub fn fit(rows: &[Row], terms: Terms) -> Result<Linear, LinearError> {
-        let (terms_there, missing) = known_terms(&[rows], terms);
+        let (terms_there, missing) = KnownFeatures::new(rows, terms).split(terms);
         let mut linear = Moments::of(rows, terms_there).fit(terms_there)?;
         linear.miss(terms, &missing);
         Ok(linear)
@@ -515,43 +514,19 @@ impl KnownFeatures {
     }
 }
 
-/// The terms that are finite in any row of some parts, and the positions of the others.
-pub fn known_terms(parts: &[&[Row]], terms: Terms) -> (Terms, Vec<usize>) {
-    let each = parts.iter().map(|rows| KnownFeatures::new(rows, terms));
-    let known = each.fold(KnownFeatures::NONE, KnownFeatures::or);
-    known.split(terms)
-}
-
 /// A fitted linear model as names and numbers.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LinearReport {
     /// The requested features.
     pub terms: String,
     /// The forecast where every feature is 0, W.
     pub intercept_w: f64,
     /// Name of each feature used, and its coefficient in W per unit of the feature.
-    #[serde(deserialize_with = "of_features")]
     pub coefficients: Vec<(&'static str, f64)>,
     /// Name of each requested feature that is not used, and why.
-    #[serde(deserialize_with = "of_features")]
     pub dropped: Vec<(&'static str, Dropped)>,
     /// Rows that it was fitted on.
     pub rows: usize,
     /// Rows that could not be used.
     pub unusable_rows: usize,
-}
-
-/// Deserialises values with the names of their features, which must be those of [`FEATURE_NAMES`].
-fn of_features<'de, D, T>(from: D) -> Result<Vec<(&'static str, T)>, D::Error>
-where
-    D: Deserializer<'de>,
-    T: Deserialize<'de>,
-{
-    let read: Vec<(String, T)> = Vec::deserialize(from)?;
-    let named = read.into_iter().map(|(found, value)| {
-        let name = FEATURE_NAMES.into_iter().find(|name| *name == found);
-        let unknown = || D::Error::custom(format!("no feature is named {found:?}"));
-        Ok((name.ok_or_else(unknown)?, value))
-    });
-    named.collect()
 }

@@ -2,7 +2,7 @@
 
 use std::io;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::Options;
 use super::blocks::{Block, Draws, HorizonSums};
@@ -181,7 +181,7 @@ pub struct HorizonScore {
 
 /// Names of the forecasters, and which of them are models and which baselines. The others are
 /// members.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Names {
     pub(crate) forecasters: Vec<String>,
     /// Names in open loop, where each model is its network alone and there are no members.

@@ -3,7 +3,7 @@
 use std::collections::{HashMap, HashSet};
 use std::ops::Range;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::references::{Differences, Learned};
 use super::{Recording, Reference, ScoreError, each, sources};
@@ -238,7 +238,7 @@ impl Design {
 }
 
 /// The evaluated rows, for reports.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct DesignReport {
     /// Description.
     pub description: String,

@@ -5,7 +5,7 @@ use std::ops::Range;
 use joulebus_dataset::trained_rows::{is_trained_on, is_untold};
 use joulebus_predictor::Model;
 use joulebus_predictor::training::TrainedRows;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 
 use super::design::Part;
 use super::{Contents, Design, Recording, ScoreError, each};
@@ -19,7 +19,7 @@ const FEWEST_APART: usize = 50;
 const MAX_PERIOD_DIFFERENCE: f32 = 0.2;
 
 /// Rows that a model was trained on, among those that were to be evaluated.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct TrainedOn {
     /// Rows trained on, or beside such rows, as far as recognised.
     pub rows: usize,
@@ -33,7 +33,7 @@ pub struct TrainedOn {
 }
 
 /// Relation of the tables' rows to the models' training.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScoredRows {
     /// All of them would be recognised if a model was trained on them, and none is.

@@ -3,7 +3,7 @@
 use joulebus_dataset::rows::Row;
 use joulebus_predictor::{FEATURES, FeatureSet, INPUTS};
 use joulebus_statistics::noise::Noise;
-use joulebus_train::linear::{Dropped, Linear, LinearError, Moments, Terms, known_terms};
+use joulebus_train::linear::{Dropped, KnownFeatures, Linear, LinearError, Moments, Terms};
 use proptest::prelude::*;
 
 const NEWEST: usize = FeatureSet::PowerOnly.first();
@@ -165,7 +165,7 @@ fn unrecorded_velocities_are_dropped_and_change_no_forecast() {
     assert!(found.dropped().iter().all(|(_, why)| *why == Dropped::Missing));
     assert!(found.predict(&rows[3].features).is_finite());
     rows.truncate(0);
-    let (known, missing) = known_terms(&[rows.as_slice()], Terms::AR5);
+    let (known, missing) = KnownFeatures::new(&rows, Terms::AR5).split(Terms::AR5);
     assert_eq!((known.count(), missing.len()), (0, 5));
 }
 
