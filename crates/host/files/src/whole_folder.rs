@@ -111,7 +111,7 @@ impl WholeFolder {
         for (from, to) in hidden.names.iter().map(named) {
             let new = missing(to.parent().unwrap_or(&to));
             match new.as_ref().and_then(|new| new.strip_prefix(&self.folder).ok()) {
-                Some(below) => disk::rename(&hidden.path.join(below), &self.folder.join(below))?,
+                Some(below) => disk::rename(hidden.path.join(below), self.folder.join(below))?,
                 None if disk::exists(&from) => rename(&from, &to)?,
                 None => {}
             }
