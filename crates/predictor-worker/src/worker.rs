@@ -71,10 +71,11 @@ pub struct Worker {
     name: String,
     current_permit: Arc<CurrentPermit>,
     phase: Phase,
-    /// What persons state of robots, and how many of these a tick has taken whose budgets and
-    /// journal are sent.
-    statements: Option<(Receiver<(u32, Statement)>, Arc<AtomicU64>)>,
-    /// Number of those taken that do not count yet.
+    /// What persons state of robots.
+    statements: Option<Receiver<(u32, Statement)>>,
+    /// How many of these a tick has taken whose budgets and journal are sent.
+    taken: Arc<AtomicU64>,
+    /// How many more were taken.
     uncounted: u64,
     stated_batteries: StatedBatteries,
     /// Refusals, for another thread.
@@ -296,6 +297,7 @@ impl Worker {
             current_permit,
             phase: Phase::Alone,
             statements: None,
+            taken: Arc::default(),
             uncounted: 0,
             stated_batteries,
             refusals: None,
@@ -417,7 +419,7 @@ impl Worker {
         statements: Receiver<(u32, Statement)>,
         taken: Arc<AtomicU64>,
     ) {
-        self.statements = Some((statements, taken));
+        (self.statements, self.taken) = (Some(statements), taken);
     }
 
     /// Copies the refusals there after each tick, unless another thread has the lock at that moment.
@@ -586,7 +588,7 @@ impl Worker {
     /// next tick. Neither blocks nor locks: whoever sends them does not wait for room in the
     /// channel.
     fn take_statements(&mut self, now_ns: u64) {
-        let Some((statements, _)) = &self.statements else {
+        let Some(statements) = &self.statements else {
             return;
         };
         while self.stated_batteries.has_room()
@@ -621,10 +623,8 @@ impl Worker {
         let place = (self.header.worker_epoch, self.header.tick);
         let flags = flags | if missed { tick_flag::DEADLINE_MISSED } else { 0 };
         self.journal.send(place, start_ns, flags, &self.failures.unsent);
-        if let Some((_, taken)) = &self.statements
-            && self.failures.unsent.load(Ordering::Relaxed) == unsent_before
-        {
-            taken.fetch_add(std::mem::take(&mut self.uncounted), Ordering::Release);
+        if self.failures.unsent.load(Ordering::Relaxed) == unsent_before {
+            self.taken.fetch_add(std::mem::take(&mut self.uncounted), Ordering::Release);
         }
         self.keyframes.offer(&self.fleet, place);
         self.errors.send(&self.fleet);
