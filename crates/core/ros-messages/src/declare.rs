@@ -15,6 +15,11 @@ pub(crate) trait Defined {
     fn fields() -> Vec<String>;
 }
 
+/// The name of a type without its package.
+pub(crate) fn last_part(name: &str) -> &str {
+    name.rsplit('/').next().unwrap_or(name)
+}
+
 /// Declares types with their fields, as their definitions have them. `as` gives a field's type the
 /// name that it has there, if that is not the name of its Rust type.
 macro_rules! messages {
@@ -41,7 +46,7 @@ macro_rules! messages {
 
         impl $crate::declare::Field for $name {
             fn name() -> String {
-                $crate::last_part($file).to_owned()
+                $crate::declare::last_part($file).to_owned()
             }
         }
     )*};

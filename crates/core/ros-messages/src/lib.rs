@@ -9,7 +9,7 @@ mod published;
 use cdr_encoding::from_bytes;
 use serde::{Deserialize, Serialize};
 
-use declare::{Defined, messages};
+use declare::{Defined, last_part, messages};
 pub use hashes::type_hash;
 pub use joulebus::{
     AcknowledgeRequest, AcknowledgeResponse, Answer, Outlook, VERDICTS, WhatIfRequest,
@@ -427,10 +427,6 @@ fn check_definition(text: &str, kind: RosType) -> Result<(), RosError> {
 /// A constant: `uint8 UNKNOWN=0`, or with spaces about the equals sign.
 fn is_constant(line: &str) -> bool {
     line.contains('=')
-}
-
-fn last_part(name: &str) -> &str {
-    name.rsplit('/').next().unwrap_or(name)
 }
 
 /// Decodes a message: four bytes of encapsulation header, then the fields.
