@@ -49,7 +49,7 @@ mod trained_on;
 pub use cell::{
     Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, IntervalScore, Role, Skill,
 };
-pub use common::BaselineReport;
+pub use common::{BaselineReport, ModelReport};
 pub use compare::{Comparison, Difference, FEWEST_TRIALS, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
 pub use error::{MAX_HORIZON, ScoreError};
@@ -59,7 +59,7 @@ pub use options::Options;
 pub(crate) use recording::sources;
 pub use recording::{Contents, Recording, check_apart, recorded_platform};
 pub use references::{Foreign, Reference};
-pub use report::{ModelReport, ScoreReport};
+pub use report::ScoreReport;
 pub use run::{Reported, Scored, score, score_reported, score_watched};
 pub use subject::Subject;
 pub use tallied::ConstantInterval;

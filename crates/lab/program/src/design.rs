@@ -3,10 +3,9 @@
 use std::path::PathBuf;
 
 use joulebus_dataset::split::Split;
-use joulebus_eval::score::{Design, Recording, check_apart};
+use joulebus_eval::score::{Design, Recording, ScoreError, check_apart};
 use joulebus_program::exit::UsageError;
 
-use crate::eval::usage;
 use crate::split_unit::SplitUnit;
 
 /// What is held out of recordings.
@@ -56,5 +55,15 @@ impl DesignArguments {
         check_apart(recordings, (&others, "after --fit"))
             .map_err(|error| UsageError(error.to_string()))?;
         Ok(Design::fitted_on(recordings, others))
+    }
+}
+
+/// Errors caused by the arguments become usage errors.
+pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
+    match error {
+        ScoreError::Split(_) | ScoreError::Horizon { .. } | ScoreError::Option { .. } => {
+            UsageError(error.to_string()).into()
+        }
+        error => error.into(),
     }
 }

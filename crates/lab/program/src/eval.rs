@@ -13,9 +13,10 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::model_source;
 use joulebus_program::output::{Output, log_line};
 
+use crate::design::usage;
 use crate::judgement::report;
 use crate::references::ReferenceArguments;
-pub(crate) use subject::{Selection, usage};
+pub(crate) use subject::Selection;
 
 /// Evaluate recorded trials offline: the same bits as playing them live, compared with the
 /// baselines

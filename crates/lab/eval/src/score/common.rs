@@ -7,10 +7,10 @@ use serde::Serialize;
 use super::cell::Names;
 use super::design::{DesignReport, Lines};
 use super::members::Member;
-use super::report::ModelReport;
 use super::tallied::Listed;
-use super::trained_on::{Recognised, ScoredRows};
+use super::trained_on::{Recognised, ScoredRows, TrainedOn};
 use super::{Options, ScoreError, Subject};
+use crate::energy::EnergyErrors;
 use crate::evaluate::Forecast;
 
 /// An evaluation without its sums.
@@ -24,6 +24,27 @@ pub(super) struct Common {
     pub(super) baselines: Vec<BaselineReport>,
     pub(super) names: Names,
     pub(super) recordings: Vec<Listed>,
+}
+
+/// A model that was evaluated.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct ModelReport {
+    /// Its name.
+    pub name: String,
+    /// Its hash, hexadecimal.
+    pub hash: String,
+    /// The origin of the forecast that was scored one tick ahead. Open loop is the network's alone.
+    pub forecast: Forecast,
+    /// Names of the forecast's members in the tables. Empty for a single forecaster.
+    pub members: Vec<String>,
+    /// Its training data as stated in its file. `None` for persistence.
+    pub training_data: Option<String>,
+    /// The rows that it was trained on, among those that were to be evaluated. `None` if its file
+    /// does not state them.
+    pub trained_on: Option<TrainedOn>,
+    /// Errors of its energy forecasts of the evaluated rows. `None` if not
+    /// [asked for](Options::energy).
+    pub energy: Option<EnergyErrors>,
 }
 
 /// A linear baseline.

@@ -7,8 +7,8 @@ use serde::Serialize;
 
 use super::blocks::{Block, Draws, HorizonSums};
 use super::cell::Role;
+use super::common::ModelReport;
 use super::design::DesignReport;
-use super::report::ModelReport;
 use super::run::tallied;
 use super::tallied::{Set, Tallied};
 use super::trained_on::ScoredRows;

@@ -7,12 +7,11 @@ use serde::Serialize;
 
 use super::Options;
 use super::cell::{Cell, HorizonCell, cell, horizon_cell};
-use super::common::{BaselineReport, Common};
+use super::common::{BaselineReport, Common, ModelReport};
 use super::design::DesignReport;
 use super::tallied::{Set, Tallied};
-use super::trained_on::{ScoredRows, TrainedOn, warnings};
-use crate::energy::{EnergyErrors, EnergyScores};
-use crate::evaluate::Forecast;
+use super::trained_on::{ScoredRows, warnings};
+use crate::energy::EnergyScores;
 use joulebus_statistics::bootstrap::Bootstrap;
 
 /// An evaluation: data, models, baselines and scores. `Display` gives tables. In JSON, undefined
@@ -59,27 +58,6 @@ pub struct ScoreReport {
     pub open_loop_robots: Vec<HorizonCell>,
     /// Cells by trial. Empty if there is only one.
     pub open_loop_trials: Vec<HorizonCell>,
-}
-
-/// A model that was evaluated.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct ModelReport {
-    /// Its name.
-    pub name: String,
-    /// Its hash, hexadecimal.
-    pub hash: String,
-    /// The origin of the forecast that was scored one tick ahead. Open loop is the network's alone.
-    pub forecast: Forecast,
-    /// Names of the forecast's members in the tables. Empty for a single forecaster.
-    pub members: Vec<String>,
-    /// Its training data as stated in its file. `None` for persistence.
-    pub training_data: Option<String>,
-    /// The rows that it was trained on, among those that were to be evaluated. `None` if its file
-    /// does not state them.
-    pub trained_on: Option<TrainedOn>,
-    /// Errors of its energy forecasts of the evaluated rows. `None` if not
-    /// [asked for](Options::energy).
-    pub energy: Option<EnergyErrors>,
 }
 
 /// The tables, from sums of the recordings and each model's forecasts of energy.

@@ -3,9 +3,10 @@
 use std::fmt::{self, Formatter};
 
 use super::cell::{Cell, ForecasterScore, HorizonCell, Role, Skill};
+use super::common::ModelReport;
 use super::compare::{Comparison, Difference};
 use super::design::DesignReport;
-use super::report::{ModelReport, ScoreReport};
+use super::report::ScoreReport;
 use super::trained_on::{ScoredRows, TrainedOn};
 use joulebus_statistics::bootstrap::{Bootstrap, Estimate, MIN_BLOCKS};
 

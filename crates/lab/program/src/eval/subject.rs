@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use joulebus_config::Config;
 use joulebus_dataset::trial::ColumnMap;
-use joulebus_eval::score::{Design, Options, Recording, ScoreError, Subject};
+use joulebus_eval::score::{Design, Options, Recording, Subject};
 use joulebus_predictor::Model;
 use joulebus_program::config_file::ConfigFile;
 use joulebus_program::exit::UsageError;
@@ -152,16 +152,6 @@ impl Selection {
             Ok(others)
         })?;
         Ok(design.hold_apart(&section.recordings, models)?)
-    }
-}
-
-/// Errors caused by the arguments become usage errors.
-pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
-    match error {
-        ScoreError::Split(_) | ScoreError::Horizon { .. } | ScoreError::Option { .. } => {
-            UsageError(error.to_string()).into()
-        }
-        error => error.into(),
     }
 }
 

@@ -8,7 +8,8 @@ use joulebus_program::exit::Outcome;
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::eval::{Selection, load, usage, warn};
+use crate::design::usage;
+use crate::eval::{Selection, load, warn};
 use crate::judgement::report;
 
 /// Compare two models on the same recordings: by group, robot and trial, with paired intervals
