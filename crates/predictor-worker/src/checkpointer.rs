@@ -161,12 +161,15 @@ impl Checkpointer {
         })
     }
 
-    fn take_stated(&mut self) {
-        let (stated, taken) = &self.stated;
-        while let Ok(stated) = stated.try_recv() {
-            self.checkpoint.state(&stated);
+    /// Reads the budgets, then takes the statements that were there before: what was sent before a
+    /// statement is known when it is taken.
+    fn read(&mut self) {
+        let stated: Vec<StatedBattery> = self.stated.0.try_iter().collect();
+        self.read_budgets();
+        for stated in &stated {
+            self.checkpoint.state(stated);
             self.changed = true;
-            taken.fetch_add(1, Ordering::Relaxed);
+            self.stated.1.fetch_add(1, Ordering::Relaxed);
         }
     }
 
@@ -299,8 +302,7 @@ impl Checkpointer {
 
 impl Steps for Checkpointer {
     fn step(&mut self, last: bool) -> Option<Duration> {
-        self.take_stated();
-        self.read_budgets();
+        self.read();
         let now_ns = clock::monotonic_ns();
         if last || now_ns >= self.schedule.next_ns() {
             self.save();

@@ -282,7 +282,9 @@ impl Args {
             Ranked::All => all().collect(),
             Ranked::Ids(ids) => vec![ids.clone()],
         });
-        let ids: Vec<u32> = ranked.flatten().chain(self.robot).take(MAX_RANKED + 1).collect();
+        let mut known = BTreeSet::new();
+        let ids = ranked.flatten().chain(self.robot).filter(|robot| known.insert(*robot));
+        let ids: Vec<u32> = ids.take(MAX_RANKED + 1).collect();
         match ids.len() <= MAX_RANKED {
             true => Ok(ids),
             false => Err(UsageError(format!("--rank compares at most {MAX_RANKED} robots"))),
@@ -384,13 +386,13 @@ impl Args {
         mut question: Question,
         mut is_there: impl FnMut(u32) -> anyhow::Result<bool>,
     ) -> anyhow::Result<(Question, Vec<u32>)> {
-        let mut missing = Vec::new();
+        let mut missing = BTreeSet::new();
         if self.rank.is_empty() {
-            return Ok((question, missing));
+            return Ok((question, Vec::new()));
         }
         for robot in robots(&question.plan) {
             if !is_there(*robot)? {
-                missing.push(*robot);
+                missing.insert(*robot);
             }
         }
         if missing.len() == robots(&question.plan).len() {
@@ -399,7 +401,7 @@ impl Args {
         if let Plan::Follow { robots, .. } | Plan::Idle { robots, .. } = &mut question.plan {
             robots.retain(|robot| !missing.contains(robot));
         }
-        Ok((question, missing))
+        Ok((question, missing.into_iter().collect()))
     }
 
     /// Joins the answers of all fleets, the best first. `missing` are the robots of no fleet.
@@ -416,7 +418,10 @@ impl Args {
         let oldest = asked.iter().map(|one| (one.age_ns, one.tick)).max();
         let (age_ns, tick) = oldest.unwrap_or_default();
         let replies = asked.into_iter().map(|one| {
-            missing.extend(one.missing);
+            // All are those of the fleet, not those that the config lists.
+            if !self.rank.iter().any(|ranked| matches!(ranked, Ranked::All)) {
+                missing.extend(one.missing);
+            }
             one.reply
         });
         let reply = replies.reduce(|mut all, other| {

@@ -243,9 +243,10 @@ pub(crate) fn beside(
         match make(&hidden) {
             // Another process may remove it before it is locked.
             Ok(made) if is_own(&made, &hidden) => return Ok((made, hidden)),
-            Err(error) if error.kind() != io::ErrorKind::AlreadyExists || number == MAX_NAMES => {
+            Err(error) if error.kind() != io::ErrorKind::AlreadyExists || number >= MAX_NAMES => {
                 return Err(error);
             }
+            _ if number >= MAX_NAMES => return Err(io::ErrorKind::AlreadyExists.into()),
             _ => number += 1,
         }
     }

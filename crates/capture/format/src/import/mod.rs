@@ -60,9 +60,9 @@ pub fn import_files(
         let batteries = robots.iter().filter(|robot| robot.name == name);
         let batteries: Vec<&str> = batteries.map(|robot| robot.battery.as_str()).collect();
         return Err(ImportError::Robots(format!(
-            "two robots named {name:?}, with the batteries {}. Choose the one of its power with \
-             --battery, sum them as `packs` of one robot in a mapping file, or give them different \
-             names there",
+            "two robots named {name:?}, with the batteries {}. In a mapping file (--mapping), choose the \
+             one of its power as the robot's `battery`, sum them as its `packs`, or give them \
+             different names",
             batteries.join(", ")
         )));
     }

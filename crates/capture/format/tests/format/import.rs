@@ -290,7 +290,7 @@ fn a_battery_goes_with_the_topics_of_its_longest_namespace() {
     let several = ["/p/battery/status", "/p/battery/left/status", "/p/battery/right/status"];
     let bag = || bag_of(&several, &["/p/cmd_vel", "/q/cmd_vel"]);
     let refused = bag().import("").unwrap_err().to_string();
-    assert_contains(&refused, several.iter().chain(&["--battery", "mapping file"]));
+    assert_contains(&refused, several.iter().chain(&["`packs`", "mapping file (--mapping)"]));
     let mut mapping: Mapping =
         "[[robot]]\nname = \"p\"\nbattery = \"/p/battery/left/status\"".parse().unwrap();
     let chosen = |mapping: &Mapping| import(Cursor::new(bag().bytes()), "bag", mapping).unwrap();

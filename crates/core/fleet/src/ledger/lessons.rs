@@ -92,8 +92,8 @@ impl Lessons {
         {
             // Saturates. 0 means unknown.
             let newest = (3.6e6 * charged / seconds).round().max(1.0) as u16;
-            // A gauge that jumps must not make a charger fast.
-            let most = rate.saturating_mul(2);
+            // A gauge that jumps must not make a charger fast. The mean of 1 and 2 would stay 1.
+            let most = rate.saturating_mul(2).max(rate.saturating_add(2));
             *rate = if *rate == 0 { newest } else { u16::midpoint(*rate, newest.min(most)) };
         }
         (self.tenth_from, self.tenth_s) = (soc as f32, 0.0);

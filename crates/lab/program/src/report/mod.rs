@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use anyhow::Context as _;
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::{Recording, read_recordings};
-use joulebus_files::{WholeFolder, replace};
+use joulebus_files::{WholeFolder, replace, replace_shared};
 use joulebus_program::exit::Outcome;
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::platform::platform;
@@ -61,7 +61,7 @@ fn simulate(args: &Args, whole: &mut WholeFolder) -> anyhow::Result<Document> {
     }
     let SimulatedReport { document, network, .. } = report?;
     let bytes = network.to_safetensors()?;
-    replace(&whole.path("network.safetensors")?, |mut out| out.write_all(&bytes))?;
+    replace_shared(&whole.path("network.safetensors")?, |mut out| out.write_all(&bytes))?;
     Ok(document)
 }
 
