@@ -13,7 +13,7 @@ use joulebus_wire::{
 };
 use serde::{Deserialize, Serialize};
 
-use crate::layout::lanes::{DurationNs, InstantNs, LANES, block, put};
+use crate::layout::lanes::{DurationNs, InstantNs, block, put};
 use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
 use crate::ledger::gap::GapPower;

@@ -30,7 +30,7 @@ where
     T: Deserialize<'de> + Default,
     D: Deserializer<'de>,
 {
-    if VERSION.get() < SINCE { Ok(T::default()) } else { T::deserialize(from) }
+    if VERSION.get() < READ { Ok(T::default()) } else { T::deserialize(from) }
 }
 
 /// Reads what robots learn from shadow forecasts. Versions before 0x12 have two groups of factors
