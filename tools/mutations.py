@@ -18,6 +18,14 @@ import time
 ROOT = pathlib.Path(__file__).resolve().parent.parent
 
 
+def has_test(file, test):
+    """Whether the file's crate has a test, or a module of tests, that begins like the last word."""
+    begin = test.split()[-1].split("::")[0]
+    crate = next(folder for folder in source(file).parents if (folder / "Cargo.toml").exists())
+    texts = (path.read_text() for path in crate.glob("**/*.rs"))
+    return any(f"fn {begin}" in text or f"mod {begin}" in text for text in texts)
+
+
 def source(file):
     """The source of a crate, whose folder is not named."""
     found = [path for path in (ROOT / "crates").glob(f"**/{file}") if "target" not in path.relative_to(ROOT).parts]
@@ -137,7 +145,7 @@ MUTATIONS = [
     # Of links: found by their own tests.
     ("whoever polls first takes a free lease", "link/src/protocol/lease.rs",
      "self.rank * (self.poll_interval_ns() + ACQUISITION_NS)", "self.rank * ACQUISITION_NS",
-     "--bin joulebus-link a_free_shard"),
+     "--bin joulebus-link a_free_lease"),
     ("the margin of a lease is that of a crystal", "link/src/protocol/lease.rs",
      "const DRIFT_DIVISOR: u64 = 6;", "const DRIFT_DIVISOR: u64 = 200;", "--bin joulebus-link at_no_time"),
     ("lanes are dropped only at the limit", "link/src/protocol/stream.rs",
@@ -190,6 +198,7 @@ def main():
     asked = parser.parse_args()
     if asked.check:
         gone = [f"{name}: {file}" for name, file, old, *_ in MUTATIONS if old not in source(file).read_text()]
+        gone += [f"{name}: no test {test[0]}" for name, file, _, _, *test in MUTATIONS if test and not has_test(file, test[0])]
         print("\n".join(gone) or f"{len(MUTATIONS)} defects can be put in")
         sys.exit(1 if gone else 0)
     wanted = [part.strip() for part in (asked.only or "").split(",")]

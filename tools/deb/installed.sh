@@ -70,7 +70,7 @@ done
 in_root bash -c '
     . /usr/share/bash-completion/completions/joulebus
     completed() { COMP_WORDS=("$@"); COMP_CWORD=$((${#COMP_WORDS[@]} - 1)); COMPREPLY=(); _joulebus joulebus "${COMP_WORDS[COMP_CWORD]}" "${COMP_WORDS[COMP_CWORD-1]}"; echo "${COMPREPLY[*]}"; }
-    [ "$(completed joulebus wat)" = watch ] && [ "$(completed joulebus serve --per-)" = --per-robot ]
+    [ "$(completed joulebus wat)" = watch ] && [ "$(completed joulebus record --per-)" = --per-robot ]
 ' || fail "bash completes no verbs and options"
 in_root bash -c 'if command -v zsh > /dev/null; then zsh -n /usr/share/zsh/vendor-completions/_joulebus; fi
     if command -v fish > /dev/null; then fish --no-execute /usr/share/fish/vendor_completions.d/joulebus.fish; fi'

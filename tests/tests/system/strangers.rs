@@ -96,7 +96,8 @@ fn row_19_another_user_can_neither_read_nor_inject_nor_clean_up() {
     let before = arena.stale_files();
     assert!(before.len() > 10, "{before:?}");
     let mut intruder = as_stranger(Path::new("/bin/sh"));
-    intruder.args(["-c", ATTEMPTS, "sh"]).args(&before).arg(arena.domain().directory());
+    intruder.args(["-c", ATTEMPTS, "sh"]).args(&before);
+    intruder.arg(arena.domain().directory()).arg(arena.domain().root());
     let ended = Child::spawn("intruder", intruder).wait();
     assert_eq!((ended.code(), ended.text()), (Some(0), String::new()), "{ended:?}");
     for arguments in [

@@ -419,9 +419,12 @@ impl Args {
         let (age_ns, tick) = oldest.unwrap_or_default();
         let replies = asked.into_iter().map(|one| {
             // All are those of the fleet, not those that the config lists.
-            if !self.rank.iter().any(|ranked| matches!(ranked, Ranked::All)) {
-                missing.extend(one.missing);
-            }
+            let is_all = self.rank.iter().any(|ranked| matches!(ranked, Ranked::All));
+            let is_named = |robot: &u32| {
+                let holds = |one: &Ranked| matches!(one, Ranked::Ids(ids) if ids.contains(robot));
+                self.rank.iter().any(holds)
+            };
+            missing.extend(one.missing.into_iter().filter(|robot| !is_all || is_named(robot)));
             one.reply
         });
         let reply = replies.reduce(|mut all, other| {

@@ -228,6 +228,16 @@ fn level_rate(read: &FleetFile, warnings: &mut Vec<Problem>) {
     let own = |listed: &&Listed| listed.values.get("platform.alarms.level_limit").is_some();
     let robots = read.platforms.iter().filter(|listed| !own(listed)).map(listed_robots).sum();
     let robots = u64::from(room).min(robots);
+    if robots == 0 {
+        let what = "has no effect: every platform has a level_limit of its own".to_owned();
+        warnings.push(complaint(fleet, LEVEL_RATE, what, "Remove it, or theirs".to_owned()));
+        return;
+    }
+    let stated = "alarms.level_limit";
+    if fleet.names(stated) && fleet.number(stated) != Some(limit.into()) {
+        let what = format!("has no effect beside `{LEVEL_RATE}`, which chooses {limit}");
+        warnings.push(complaint(fleet, stated, what, "Remove one of them".to_owned()));
+    }
     warnings.push(complaint(
         fleet,
         LEVEL_RATE,

@@ -2,6 +2,9 @@
 
 use std::fmt::Write as _;
 
+use joulebus_settings::bounds::level_limit_for;
+
+use crate::consistency::LEVEL_RATE;
 use crate::document::{FleetFile, Listed};
 use crate::files;
 use crate::key::{File, Key};
@@ -82,7 +85,7 @@ fn line(text: &mut String, values: &Values, key: &Key) {
     };
 }
 
-/// The value with paths made independent of the file that contains them.
+/// The value in force, with paths made independent of the file that contains them.
 fn resolved(values: &Values, key: &Key) -> Option<Value> {
     let path = match key.path {
         "domain.root" => files::root(&values.text(key.path)?),
@@ -94,6 +97,12 @@ fn resolved(values: &Values, key: &Key) -> Option<Value> {
             ModelSource::File(path) => path,
             _ => return values.get(key.path),
         },
+        // The one that is in force.
+        "alarms.level_limit" => {
+            let chosen = values.number(LEVEL_RATE).and_then(level_limit_for);
+            let chosen = chosen.map(|limit| Value::Number(limit.into()));
+            return chosen.or_else(|| values.get(key.path));
+        }
         _ => return values.get(key.path),
     };
     if path.as_os_str().is_empty() {

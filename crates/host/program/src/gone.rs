@@ -47,7 +47,7 @@ const GONE: &[(&str, &str, &str)] = &[
     ("serve", "--foxglove --host --port --allow-origin --per-robot", FOXGLOVE),
     ("eval", "--partition --merge --out", PARTS),
     ("eval", "--origins-every --confidence --block-rows", SCORES),
-    ("model compare", "--origins-every --confidence --block-rows", SCORES),
+    ("model compare", "--origins-every --confidence --block-rows", "a comparison is at 95 %"),
     ("model compare", "--energy", "`joulebus eval --energy` scores the energy of a model"),
     ("import", "--battery --command --odometry --robot-name --robot-id --time --burst", MAPPING),
     ("import", "--first-robot", MAPPING),

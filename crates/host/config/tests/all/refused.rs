@@ -357,6 +357,13 @@ fn a_rate_of_false_alarms_chooses_the_lowest_limit_that_keeps_it() {
         let text = WHOLE.replace("noise_limit = 50.0", &rate);
         let config = parse(&text).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(config.settings().alarms.level_limit, limit);
+        assert_eq!(config.value("alarms.level_limit", 0), Some(&*format!("{limit:?}")));
+        assert_eq!(config.warnings().len(), 1, "{:?}", config.warnings());
+        let beside = text.replace(&rate, &format!("{rate}\nlevel_limit = 7.0"));
+        let config_beside = parse(&beside).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(config_beside.settings().alarms.level_limit, limit);
+        let keys: Vec<&str> = config_beside.warnings().iter().map(|one| &*one.key).collect();
+        assert_eq!(keys, ["alarms.level_limit", "alarms.level_alarms_per_robot_h"]);
         // The first platform has limits, of which none is of levels. Both have 21 robots.
         let limits = config.settings().platforms[0].alarms.unwrap();
         assert_eq!(limits.level_limit, limit);
