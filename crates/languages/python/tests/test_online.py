@@ -170,8 +170,8 @@ def test_wrong_arguments_are_refused_with_what_is_allowed():
         ("X has 40 rows, allowed are 2", lambda: joulebus.OnlineForecaster().fit(X, y).update(X, y[:2])),
         ("X has 2 features", lambda: joulebus.OnlineForecaster().fit(X, y).update(X[:, :2], y)),
         ("without infinite readings", lambda: joulebus.OnlineForecaster().fit(X, y).update(X[:1], [np.inf])),
-        ("cannot be read", lambda: joulebus.OnlineForecaster().fit(X, y)._robots.restore(b"jbonlin\x01\x07")),
-        ("not a fleet's state in version 1", lambda: joulebus.OnlineForecaster().fit(X, y)._robots.restore(b"jbstate\x0b")),
+        ("cannot be read", lambda: joulebus.OnlineForecaster().fit(X, y)._robots.restore(b"jbonlin\x02\x07")),
+        ("not a fleet's state in version 2", lambda: joulebus.OnlineForecaster().fit(X, y)._robots.restore(b"jbstate\x0b")),
     ]:
         with pytest.raises(ValueError) as refused:
             call()
