@@ -277,7 +277,11 @@ impl Checkpoint {
         }
         let newest = LearnedCapacity { unix_s, capacity_j, capacity_sd_j };
         let months = self.capacities.entry(budget.robot).or_default();
-        // Also those of a clock that was ahead.
+        // A clock that was ahead has left a month or two, which go. One that is behind takes none.
+        let later = months.iter().filter(|known| known.month() > newest.month()).count();
+        if later > 2 {
+            return;
+        }
         months.retain(|known| known.month() < newest.month());
         months.push(newest);
         months.drain(..months.len().saturating_sub(MONTHS));
@@ -528,10 +532,11 @@ pub(crate) mod tests {
         for day in 0..1_000_u64 {
             // Rounded by a restart: nothing was learned.
             let rounded = |value: f32| value * (1.0 + (day % 2) as f32 * f32::EPSILON);
-            // A host begins without a clock, and another is years ahead.
+            // A host begins without a clock, another is years ahead, and one is 20 months behind.
             let wall = match day {
                 700..710 => day - 700,
                 720..730 => 60_000 + day,
+                800..805 => 19_700 + day,
                 _ => 20_300 + day,
             };
             let header = BudgetHeader {
