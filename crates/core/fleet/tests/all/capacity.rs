@@ -84,7 +84,9 @@ impl Bench {
                 let bent = self.soc + by * (std::f64::consts::PI * self.soc).sin();
                 sample.state_of_charge(percent(bent))
             }
-            Gauge::Two(other) if self.step.is_multiple_of(2) => sample.state_of_charge(percent(other)),
+            Gauge::Two(other) if self.step.is_multiple_of(2) => {
+                sample.state_of_charge(percent(other))
+            }
             Gauge::Two(_) => sample.state_of_charge(percent(self.soc)),
             Gauge::Mirror => match self.fleet.is_empty() {
                 true => sample,
