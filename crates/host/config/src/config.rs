@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 
 use joulebus_settings::{
     AlarmLimits, AlarmSettings, Battery, ChargeReading, FleetSettings, Intake, IntervalSettings,
-    OpenCircuit, Platform, Policy, Scheduling, bounds,
+    OpenCircuit, Platform, Policy, Scheduling,
 };
 
-use crate::consistency::{self, LEVEL_RATE};
+use crate::consistency::{self, level_limit_by_rate};
 use crate::document::{FleetFile, Listed, RETIRED, Source};
 use crate::files::Attached;
 use crate::key::{ValueKind, voltages};
@@ -383,10 +383,7 @@ impl Builder<'_> {
 
     /// The fleet's, which a stated rate chooses.
     fn level_limit(&self) -> Option<f32> {
-        match self.0.number(LEVEL_RATE) {
-            Some(per_robot_h) => bounds::level_limit_for(per_robot_h),
-            None => self.single("alarms.level_limit"),
-        }
+        level_limit_by_rate(self.0).or_else(|| self.single("alarms.level_limit"))
     }
 
     /// A number in single precision. A bound such as 0.99 is between two `f32`, of which the one

@@ -218,11 +218,17 @@ fn worker(fleet: &Values, warnings: &mut Vec<Problem>) {
     }
 }
 
+/// The limit of levels that a stated rate of false alarms chooses.
+pub(crate) fn level_limit_by_rate(fleet: &Values) -> Option<f32> {
+    fleet.number(LEVEL_RATE).and_then(level_limit_for)
+}
+
 /// A proven rate, multiplied by the robots, is extrapolated.
 fn level_rate(read: &FleetFile, warnings: &mut Vec<Problem>) {
     let fleet = &read.values;
-    let proven = fleet.number(LEVEL_RATE).and_then(|rate| Some((rate, level_limit_for(rate)?)));
-    let (Some((per_robot_h, limit)), Some(room)) = (proven, room(read)) else {
+    let (Some(per_robot_h), Some(limit), Some(room)) =
+        (fleet.number(LEVEL_RATE), level_limit_by_rate(fleet), room(read))
+    else {
         return;
     };
     let own = |listed: &&Listed| listed.values.get("platform.alarms.level_limit").is_some();

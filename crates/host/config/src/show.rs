@@ -2,9 +2,7 @@
 
 use std::fmt::Write as _;
 
-use joulebus_settings::bounds::level_limit_for;
-
-use crate::consistency::LEVEL_RATE;
+use crate::consistency::level_limit_by_rate;
 use crate::document::{FleetFile, Listed};
 use crate::files;
 use crate::key::{File, Key};
@@ -99,9 +97,10 @@ fn resolved(values: &Values, key: &Key) -> Option<Value> {
         },
         // The one that is in force.
         "alarms.level_limit" => {
-            let chosen = values.number(LEVEL_RATE).and_then(level_limit_for);
-            let chosen = chosen.map(|limit| Value::Number(limit.into()));
-            return chosen.or_else(|| values.get(key.path));
+            let chosen = level_limit_by_rate(values);
+            return chosen
+                .map(|limit| Value::Number(limit.into()))
+                .or_else(|| values.get(key.path));
         }
         _ => return values.get(key.path),
     };
