@@ -122,7 +122,6 @@ WHOLE = {
     "battery": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "model": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "clock": ("configs/links/worker.toml", "joulebus link configs/links/worker.toml --check"),
-    "webhook": ("configs/webhooks/receivers.toml", "joulebus config check configs/webhooks/receivers.toml"),
     "workers": ("configs/links/standby.toml", "joulebus link configs/links/standby.toml --check"),
 }
 

@@ -33,7 +33,7 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Init,
-    /// Check files of fleets, platforms, bridges, links and webhooks (exit 2 if one is refused)
+    /// Check files of fleets, platforms, bridges and links (exit 2 if one is refused)
     #[command(
         after_help = "Example:\n  joulebus config check configs/fleet.toml configs/links/*.toml"
     )]

@@ -104,7 +104,7 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
 fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
     for (words, exit, expected) in [
-        ("help serve", 0, "--webhook"),
+        ("help serve", 0, "--token-file"),
         ("bench --help", 0, "--worker-cpus"),
         ("mission --help", 0, "--battery-wh"),
         ("help train trials", 0, "--hold-out"),
@@ -116,6 +116,7 @@ fn help_and_usage_errors_need_no_executable() {
         ("serve --http --format csv", 2, "csv went: the verb `cat`"),
         ("cat run.mcap --topics x", 2, "cat went: `mcap cat FILE --json`"),
         ("serve --port 0 --foxglove", 2, "--port went: captures open in Foxglove"),
+        ("serve --webhooks x", 2, "--webhooks went: `joulebus alarms --on-alarm`"),
         ("bench wait", 2, "wait went: docs/decisions/shared-memory-processes.md"),
     ] {
         let ended = installed.joulebus("", words);

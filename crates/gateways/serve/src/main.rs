@@ -1,10 +1,9 @@
-//! The program of `joulebus serve`: a fleet's page, API and metrics, and its alarms.
+//! The program of `joulebus serve`: a fleet's page, API and metrics.
 #![forbid(unsafe_code)]
 
 mod arguments;
 mod http;
 mod serve;
-mod webhook;
 
 use std::process::ExitCode;
 

@@ -180,8 +180,8 @@ fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
     best + same_section + 0.01 * whole
 }
 
-/// The replacement of bodies for single receivers.
-const ONE_BODY: &str = "It went: each request has one body, whose `text` Slack and Mattermost show. For another form, run curl by `joulebus alarms --on-alarm` (docs/how-to/webhook.md)";
+/// The replacement of receivers of alarms.
+const NO_WEBHOOKS: &str = "It went: `joulebus alarms --on-alarm` runs curl for each change, and Alertmanager groups and repeats (docs/how-to/webhook.md)";
 
 /// The replacement of shards.
 const SEVERAL_FLEETS: &str = "It went: a fleet has one worker. Split a fleet that is too large into several (docs/how-to/several-fleets.md). For a standby write `workers = [\"base\", \"base-2\"]` into every link's file, with the names of both links (docs/how-to/standby.md)";
@@ -198,12 +198,7 @@ const REPLACED: &[(&str, &str)] = &[
     ("platform.forecast = mixture", "\"online\", the default, replaces it"),
     ("shards", SEVERAL_FLEETS),
     ("shard", SEVERAL_FLEETS),
-    ("webhook.format", ONE_BODY),
-    ("webhook.template", ONE_BODY),
-    (
-        "webhook.repeat_s",
-        "It went: Prometheus repeats alerts to Alertmanager, by the rules in configs/prometheus (docs/how-to/webhook.md)",
-    ),
+    ("webhook", NO_WEBHOOKS),
 ];
 
 /// Keys without an effect any more. Captures of earlier versions have them.

@@ -45,6 +45,12 @@ const GONE: &[(&str, &str, &str)] = &[
     ),
     ("FORMAT", "ndjson csv", ROWS),
     ("serve", "--foxglove --host --port --allow-origin --per-robot", FOXGLOVE),
+    (
+        "serve",
+        "--webhook --webhooks --webhook-ca",
+        "`joulebus alarms --on-alarm` runs curl for each change, and Alertmanager groups and repeats: \
+         docs/how-to/webhook.md",
+    ),
     ("eval", "--partition --merge --out", PARTS),
     ("eval", "--origins-every --confidence --block-rows", SCORES),
     ("model compare", "--origins-every --confidence --block-rows", "a comparison is at 95 %"),
@@ -80,6 +86,11 @@ const GONE: &[(&str, &str, &str)] = &[
         "KIND",
         "shards",
         "a fleet has one worker, and a large one is split into several: docs/how-to/several-fleets.md",
+    ),
+    (
+        "KIND",
+        "webhooks",
+        "`joulebus alarms --on-alarm` needs no file: docs/how-to/webhook.md",
     ),
     (
         "BENCHMARK",

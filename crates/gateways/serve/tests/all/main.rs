@@ -1,4 +1,4 @@
-//! The tests of the server: the page and its interface, and webhooks.
+//! The tests of the server: the page and its interface.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod http;

@@ -143,20 +143,6 @@ fn what_replaced_mixture_and_adapt_is_named() {
 }
 
 #[test]
-fn a_key_of_a_webhook_that_is_gone_is_refused_with_what_takes_its_place() {
-    for (line, instead) in [
-        ("format = \"slack\"", "`text`"),
-        ("template = '{}'", "--on-alarm"),
-        ("repeat_s = 60", "configs/prometheus"),
-    ] {
-        let text = format!("[[webhook]]\naddress = \"http://host/\"\n{line}\n");
-        let file = CheckedFile::parse(&text, Path::new("hooks.toml"), File::Webhooks).unwrap();
-        let [problem] = file.problems.as_slice() else { panic!("{line}: {:?}", file.problems) };
-        assert!(problem.remedy.contains(instead), "{line}: {problem}");
-    }
-}
-
-#[test]
 fn typos_are_refused_with_the_nearest_key() {
     let cases = r#"
         coverage = | coverge = | interval.coverge | `interval.coverage`
