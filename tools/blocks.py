@@ -121,7 +121,6 @@ prometheus() { ready='ready to receive' lasting env prometheus "$@"; }
 WHOLE = {
     "battery": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "model": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
-    "clock": ("configs/links/worker.toml", "joulebus link configs/links/worker.toml --check"),
     "workers": ("configs/links/standby.toml", "joulebus link configs/links/standby.toml --check"),
 }
 

@@ -14,7 +14,6 @@ use crate::protocol::stream::{LocalFrame, Sent, Stream};
 use crate::refusals::Refusals;
 use crate::report::{Done, EgressRecord};
 use crate::shared::Shared;
-use crate::wall_clock::WallClock;
 
 /// Maximum number of receivers at a time.
 const MAX_RECEIVERS: usize = 64;
@@ -37,7 +36,6 @@ pub(crate) struct Egress {
     /// Totals of receivers that have left.
     past: BTreeMap<Arc<str>, Sent>,
     pub(crate) leader: LeaderStatus,
-    clock: WallClock,
     pub(crate) refused: Refusals,
 }
 
@@ -53,7 +51,6 @@ impl Egress {
             kind,
             only,
             fleet: Settings::fleet(&shared.config),
-            clock: shared.network.wall_clock(),
             shared,
             inbox,
             streams: BTreeMap::new(),
@@ -107,9 +104,7 @@ impl Egress {
             self.forget(&name);
         }
         let leader = self.leader;
-        let realtime_ns = self.clock.read().map(|clock| clock.realtime_ns);
         for (stream, outlet) in self.streams.values_mut() {
-            stream.set_realtime(realtime_ns);
             let mut out = Vec::new();
             while stream.due(leader, now_ns, &mut out) {
                 outlet.send(std::mem::take(&mut out));

@@ -11,7 +11,6 @@ use crate::protocol::selection::Selection;
 use crate::refusals::Refusals;
 use crate::report::{Done, IngressRecord};
 use crate::shared::Shared;
-use crate::wall_clock::WallClock;
 
 /// Time without any message after which a link is reported as absent.
 pub(crate) const ABSENCE_TIMEOUT_NS: u64 = 5_000_000_000;
@@ -24,7 +23,6 @@ pub(crate) struct Ingress {
     /// Maximum number of elements of a frame.
     most: usize,
     receiver: Receiver,
-    clock: WallClock,
     outlet: Outlet,
     opened_ns: u64,
     /// The link has sent something, or its absence was logged.
@@ -52,7 +50,6 @@ impl Ingress {
             fleet,
             most,
             receiver: Receiver::new(Sender { fleet, run }, selection),
-            clock: network.wall_clock(),
             outlet: network.requests_to(kind, from)?,
             opened_ns: run,
             is_known: false,
@@ -84,21 +81,12 @@ impl Ingress {
             }
         };
         let (number, before) = (message.number, self.receiver.received());
-        let contradictions = self.receiver.offset().contradictions;
-        self.receiver.set_clock(self.clock.read());
         let taken = self.receiver.take(&message, bytes.len(), arrived_ns);
         let after = self.receiver.received();
         if before.contested == 0 && after.contested > 0 {
             tracing::warn!(
                 "a second link sends as {from}, and is ignored: the files of two hosts have this name, or a \
                  stranger uses it. Give each link a name of its own",
-                from = self.from
-            );
-        }
-        if contradictions == 0 && self.receiver.offset().contradictions > 0 {
-            tracing::warn!(
-                "the realtime clocks of this host and {from} are further apart than `clock.realtime_within_s`, as round trips show: \
-                 for a minute they do not count",
                 from = self.from
             );
         }
@@ -144,8 +132,7 @@ impl Ingress {
 
     fn record(&self) -> IngressRecord {
         let offset = self.receiver.offset();
-        let now_ns = clock::monotonic_ns();
-        let uncertainty_ns = offset.uncertainty_ns(now_ns);
+        let uncertainty_ns = offset.uncertainty_ns(clock::monotonic_ns());
         IngressRecord {
             from: self.from.clone(),
             received: self.receiver.received(),
@@ -154,8 +141,6 @@ impl Ingress {
             clock_uncertainty_s: uncertainty_ns.map(|ns| ns as f64 * 1e-9),
             clock_refits: offset.refits,
             clock_steps: offset.steps,
-            clock_realtime: offset.uses_realtime(now_ns),
-            clock_contradictions: offset.contradictions,
             refused: self.refused.clone(),
         }
     }

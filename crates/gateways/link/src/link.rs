@@ -234,15 +234,13 @@ impl fmt::Display for LinkReport {
                 received.silences
             )?;
             if let Some(uncertainty_s) = taken.clock_uncertainty_s {
-                let by = if taken.clock_realtime { " by realtime clocks" } else { "" };
                 writeln!(
                     out,
-                    "clock of {}: within {:.3} ms{by}, {} refits, {} steps, {} contradictions",
+                    "clock of {}: within {:.3} ms, {} refits, {} steps",
                     taken.from,
                     uncertainty_s * 1e3,
                     taken.clock_refits,
-                    taken.clock_steps,
-                    taken.clock_contradictions
+                    taken.clock_steps
                 )?;
             }
             for (reason, count) in taken.refused.iter() {

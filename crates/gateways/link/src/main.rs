@@ -31,7 +31,6 @@ mod standby;
 mod threads;
 mod tls_causes;
 mod tls_workaround;
-mod wall_clock;
 mod worker_ports;
 
 use std::process::ExitCode;

@@ -25,7 +25,6 @@ use crate::proof::{Prover, Verifier};
 use crate::protocol::carried::Kind;
 use crate::protocol::message::MAX_REQUEST_BYTES;
 use crate::session::{Declared, Session};
-use crate::wall_clock::WallClock;
 
 /// Maximum number of queued messages for a thread. Beyond it new messages are dropped and counted.
 const MAX_QUEUED: usize = 256;
@@ -156,7 +155,6 @@ pub(crate) struct Network {
     session: Arc<Session>,
     fleet: String,
     name: String,
-    realtime_within_ns: Option<u64>,
     tls: Option<TlsSettings>,
 }
 
@@ -230,7 +228,6 @@ impl Network {
             session: Arc::new(session),
             fleet: fleet.to_owned(),
             name: name.to_owned(),
-            realtime_within_ns: settings.realtime_within_ns,
             tls: settings.tls.clone(),
         })
     }
@@ -249,11 +246,6 @@ impl Network {
             self.session.close(now_ns);
         }
         self.session.open_if_closed(now_ns);
-    }
-
-    /// This host's realtime clock, as a stream reads it.
-    pub(crate) fn wall_clock(&self) -> WallClock {
-        WallClock::new(self.realtime_within_ns)
     }
 
     /// The publisher of frames for the link `to`.

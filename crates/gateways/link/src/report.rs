@@ -40,9 +40,5 @@ pub(crate) struct IngressRecord {
     pub(crate) clock_refits: u64,
     /// Number of clock steps.
     pub(crate) clock_steps: u64,
-    /// True if realtime clocks narrow the uncertainty now.
-    pub(crate) clock_realtime: bool,
-    /// Number of times that round trips ruled out what realtime clocks showed.
-    pub(crate) clock_contradictions: u64,
     pub(crate) refused: Refusals,
 }

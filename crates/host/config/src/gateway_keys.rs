@@ -119,7 +119,6 @@ pub(crate) const LINK: &[Key] = &[
     link("network.tls.ca", FILE, "", Required, "Certificate of the fleet's own certificate authority."),
     link("network.tls.certificate", FILE, "", Required, "Certificate of this host."),
     link("network.tls.key", FILE, "", Required, "Private key of this host, mode 0600."),
-    link("clock.realtime_within_s", num(1e-6..=0.01), "s", Required, "Maximum difference between the realtime clocks of two hosts, where something keeps them together."),
     link("worker.take.from", LINK_NAME, "", Required, "Name of the link whose samples are taken."),
     link("worker.take.robots", ValueKind::Robots, "ids", Unset, "Robots that it speaks for. Without it all."),
     link("samples.to", LINK_NAME, "", Unset, "Name of the worker's link. With standbys workers names them."),

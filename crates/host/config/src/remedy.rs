@@ -183,6 +183,9 @@ fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
 /// The replacement of receivers of alarms.
 const NO_WEBHOOKS: &str = "It went: `joulebus alarms --on-alarm` runs curl for each change, and Alertmanager groups and repeats (docs/how-to/webhook.md)";
 
+/// The replacement of realtime clocks that are kept together.
+const ROUND_TRIPS: &str = "Remove the section: round trips alone compare the clocks of two hosts (docs/explanation/links.md)";
+
 /// The replacement of shards.
 const SEVERAL_FLEETS: &str = "It went: a fleet has one worker. Split a fleet that is too large into several (docs/how-to/several-fleets.md). For a standby write `workers = [\"base\", \"base-2\"]` into every link's file, with the names of both links (docs/how-to/standby.md)";
 
@@ -199,6 +202,7 @@ const REPLACED: &[(&str, &str)] = &[
     ("shards", SEVERAL_FLEETS),
     ("shard", SEVERAL_FLEETS),
     ("webhook", NO_WEBHOOKS),
+    ("clock", ROUND_TRIPS),
 ];
 
 /// Keys without an effect any more. Captures of earlier versions have them.

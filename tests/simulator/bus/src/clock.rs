@@ -28,20 +28,6 @@ pub fn unix_ns() -> u64 {
     time::unix_ns()
 }
 
-pub use joulebus_bus::clock::Synchronisation;
-
-/// Nothing keeps the wall clock.
-pub const fn synchronisation() -> std::io::Result<Synchronisation> {
-    Ok(Synchronisation { is_synchronised: false, most_error_ns: 0 })
-}
-
-/// The wall clock minus the monotonic clock, ns.
-pub fn realtime_minus_monotonic_ns() -> Option<(u64, u64)> {
-    operation();
-    let between_ns = time::unix_ns().checked_sub(time::monotonic_ns())?;
-    Some((between_ns, between_ns))
-}
-
 /// Processor time: all time is.
 pub fn thread_cpu_ns() -> u64 {
     monotonic_ns()

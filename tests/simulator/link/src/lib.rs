@@ -38,8 +38,6 @@ mod standby;
 mod store;
 #[path = "../../../../crates/gateways/link/src/threads.rs"]
 mod threads;
-#[path = "../../../../crates/gateways/link/src/wall_clock.rs"]
-mod wall_clock;
 #[path = "../../../../crates/gateways/link/src/worker_ports.rs"]
 mod worker_ports;
 

@@ -12,7 +12,6 @@ use std::time::Duration;
 use joulebus_simulated_host::{self as host, memory::outside, time};
 
 use crate::protocol::carried::Kind;
-use crate::wall_clock::WallClock;
 
 /// The limit of the real inbox.
 const MAX_QUEUED: usize = 256;
@@ -212,11 +211,6 @@ pub(crate) struct NetworkError;
 impl Network {
     pub(crate) fn new(name: &str) -> Self {
         Self { name: name.to_owned() }
-    }
-
-    pub(crate) fn wall_clock(&self) -> WallClock {
-        let _ = self;
-        WallClock::new(None)
     }
 
     pub(crate) fn frames_to(&self, kind: Kind, to: &str) -> Result<Outlet, NetworkError> {

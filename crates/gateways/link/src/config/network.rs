@@ -18,9 +18,6 @@ pub(crate) struct NetworkSettings {
     pub(crate) connect: Vec<String>,
     pub(crate) listen: Vec<String>,
     pub(crate) tls: Option<TlsSettings>,
-    /// Upper bound of the difference between the realtime clocks of two hosts. Without it realtime
-    /// clocks are not used.
-    pub(crate) realtime_within_ns: Option<u64>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -84,10 +81,7 @@ impl Check {
             }),
             None => None,
         };
-        let within_s = file.section("clock").and_then(|clock| clock.number("realtime_within_s"));
-        // Within its range this is a positive whole number.
-        let realtime_within_ns = within_s.map(|within_s| (within_s * 1e9).round() as u64);
-        Some(NetworkSettings { mode, connect, listen, tls, realtime_within_ns })
+        Some(NetworkSettings { mode, connect, listen, tls })
     }
 }
 

@@ -12,14 +12,11 @@ use crate::protocol::receiver::Receiver;
 use crate::protocol::selection::Selection;
 use crate::protocol::shift::shift;
 use crate::protocol::stream::{LocalFrame, Stream};
-use crate::protocol::wall::RealtimeClock;
 
 const FLEET: FleetId = FleetId(7);
 /// Maximum number of elements of a frame.
 const MAX_ELEMENTS: usize = 4;
 const START_NS: u64 = 5_000_000_000;
-/// Realtime minus monotonic on both hosts.
-const REALTIME_NS: u64 = 1_700_000_000_000_000_000;
 
 /// One side of a link whose peer is hostile.
 struct Victim {
@@ -70,8 +67,6 @@ impl Victim {
             Body::Frame(status, _) => status.sent_ns,
             Body::Request(_) => 0,
         };
-        self.receiver
-            .set_clock(Some(RealtimeClock { realtime_ns: REALTIME_NS, within_ns: 50_000 }));
         let taken = self.receiver.take(&message, bytes.len(), self.now_ns);
         let received = self.receiver.received();
         assert!(received.frames <= self.messages);
@@ -182,7 +177,6 @@ fn frame(now_ns: u64, number: u64) -> Vec<u8> {
         sent_ns: now_ns,
         dropped: 0,
         leader: Worker::Alive.into(),
-        realtime_ns: REALTIME_NS,
     };
     let sender = Sender { fleet: FLEET, run: 1 };
     let frame = Some(Outgoing {

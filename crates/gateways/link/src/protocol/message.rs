@@ -11,7 +11,7 @@ use crate::protocol::carried::{Carried, FrameError, RawFrame};
 use crate::protocol::selection::{MAX_RANGES, Selection};
 
 /// Version of the message format.
-const PROTOCOL: u32 = 5;
+const PROTOCOL: u32 = 6;
 const MAGIC: [u8; 8] = *b"joulelnk";
 const RELEASE_BYTES: usize = 16;
 const FRAME: u32 = 1;
@@ -49,7 +49,6 @@ struct FrameHead {
     dropped: u64,
     term: u64,
     highest_term: u64,
-    realtime_ns: u64,
 }
 
 /// A request without its ranges.
@@ -65,7 +64,7 @@ struct RequestHead {
     reserved: u32,
 }
 
-const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 72);
+const _: () = assert!(size_of::<Prelude>() == 64 && size_of::<FrameHead>() == 64);
 
 /// Maximum size of a request with the proof of its sender, bytes.
 pub(crate) const MAX_REQUEST_BYTES: usize = 16 << 10;
@@ -142,8 +141,6 @@ pub(crate) struct Status {
     pub(crate) dropped: u64,
     /// State of the sender's worker.
     pub(crate) leader: LeaderStatus,
-    /// Realtime minus monotonic on the sender's host. 0 if its realtime clock is not used.
-    pub(crate) realtime_ns: u64,
 }
 
 /// A request for frames.
@@ -197,7 +194,6 @@ pub(crate) fn write_frame(
         dropped: status.dropped,
         term: status.leader.term,
         highest_term: status.leader.highest_term,
-        realtime_ns: status.realtime_ns,
     };
     let at = out.len();
     out.extend_from_slice(bytes_of(&head));
@@ -288,7 +284,6 @@ fn read_frame<'a>(
             term: head.term,
             highest_term: head.highest_term,
         },
-        realtime_ns: head.realtime_ns,
     };
     if head.service == 0 {
         return Ok(Body::Frame(status, None));
@@ -413,7 +408,6 @@ mod tests {
                 term: u64::MAX - 1,
                 highest_term: u64::MAX,
             },
-            realtime_ns: 5,
         }
     }
 
@@ -481,11 +475,11 @@ mod tests {
         assert!(shown.contains(&own.replacen('0', "9", 1)), "{shown}");
         let refused = read(&frame(), FleetId(78), 3).unwrap_err();
         assert_eq!(refused.name(), "another fleet");
-        // The messages of a release that knew shards.
+        // The messages of a release that compared realtime clocks.
         let mut bytes = frame();
-        bytes[8..12].copy_from_slice(&4_u32.to_le_bytes());
+        bytes[8..12].copy_from_slice(&5_u32.to_le_bytes());
         let shown = read(&bytes, FLEET, 3).unwrap_err().to_string();
-        assert!(shown.contains("messages 4") && shown.contains("one release"), "{shown}");
+        assert!(shown.contains("messages 5") && shown.contains("one release"), "{shown}");
     }
 
     proptest! {

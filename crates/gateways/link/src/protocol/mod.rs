@@ -12,6 +12,5 @@ pub(crate) mod rmw;
 pub(crate) mod selection;
 pub(crate) mod shift;
 pub(crate) mod stream;
-pub(crate) mod wall;
 #[cfg(test)]
 mod weather;

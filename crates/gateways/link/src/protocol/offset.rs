@@ -9,13 +9,8 @@
 //! Stamps are moved by an offset at or below the lower bound. A measurement of the other host is
 //! then never taken for younger than it is, and never lies in the future. The offset stays the same
 //! while the bounds allow, so that distances between stamps do not change.
-//!
-//! If an operator states that realtime clocks are kept together, these give further bounds
-//! ([`crate::protocol::wall`]). They count where they fit those of the round trips.
 
 use std::collections::VecDeque;
-
-use crate::protocol::wall::{READ_NS, RealtimeClock, STEADY_NS};
 
 /// Upper bound of the drift between two clocks: Linux slews at most 500 ppm, and each crystal is
 /// within 100 ppm of its frequency (`man 2 adjtimex`; usual data sheets).
@@ -28,16 +23,7 @@ const BOUNDS_INTERVAL_NS: u64 = 100_000_000;
 const MARGIN_NS: i128 = 200_000;
 const MAX_BELOW_NS: i128 = 1_500_000;
 /// Maximum duration of a round trip. Bounds of longer ones are too wide to help.
-const MAX_TRIP_NS: u64 = STEADY_NS;
-/// Same as [`MARGIN_NS`] and [`MAX_BELOW_NS`], for bounds by realtime clocks. Those move by the
-/// reading error of the clocks.
-const REALTIME_MARGIN_NS: i128 = 2 * READ_NS as i128;
-const REALTIME_MAX_BELOW_NS: i128 = 3 * REALTIME_MARGIN_NS;
-/// Time for which bounds by realtime clocks count after their message.
-const REALTIME_TIMEOUT_NS: u64 = 1_000_000_000;
-/// Time for which realtime clocks are not used after they contradicted round trips.
-const DISTRUST_NS: u64 = 60_000_000_000;
-
+const MAX_TRIP_NS: u64 = 10_000_000_000;
 /// Upper bound of the drift between two clocks within a time, ns.
 fn max_drift_ns(time_ns: u64) -> i128 {
     i128::from(time_ns) * DRIFT_PPM / 1_000_000
@@ -80,18 +66,12 @@ pub(crate) struct Trip {
 #[derive(Debug, Default)]
 pub(crate) struct Offset {
     bounds: VecDeque<Bounds>,
-    /// Bounds by realtime clocks, from the newest message.
-    realtime: Option<Bounds>,
-    /// Until when realtime clocks are not used.
-    distrust_until_ns: u64,
     /// The offset in use, ns.
     used_ns: Option<i128>,
     /// Number of changes of the offset in use.
     pub(crate) refits: u64,
     /// Number of clock steps: bounds contradicted each other.
     pub(crate) steps: u64,
-    /// Number of times that round trips ruled out what realtime clocks showed.
-    pub(crate) contradictions: u64,
 }
 
 impl Trip {
@@ -121,9 +101,8 @@ impl Trip {
 }
 
 impl Offset {
-    /// Adds a round trip and, if known, both realtime clocks: the sender's reading and this host's.
-    /// Returns false if the times contradict themselves.
-    pub(crate) fn note(&mut self, trip: Trip, clocks: Option<(u64, RealtimeClock)>) -> bool {
+    /// Adds a round trip. Returns false if its times contradict themselves.
+    pub(crate) fn note(&mut self, trip: Trip) -> bool {
         let Some(found) = trip.bounds() else {
             return false;
         };
@@ -134,7 +113,6 @@ impl Offset {
             return false;
         }
         self.take(found);
-        self.update_realtime(found, clocks);
         self.fit(trip.now_ns);
         true
     }
@@ -142,36 +120,11 @@ impl Offset {
     /// Drops all measurements, because the other host may have booted again.
     pub(crate) fn forget(&mut self) {
         self.bounds.clear();
-        self.realtime = None;
     }
 
     /// True if there is a measurement since then.
     pub(crate) fn is_measured(&self) -> bool {
         !self.bounds.is_empty()
-    }
-
-    /// Derives bounds from realtime clocks. If round trips rule them out, the round trips win, and
-    /// realtime clocks are not used for a while.
-    fn update_realtime(&mut self, newest: Bounds, clocks: Option<(u64, RealtimeClock)>) {
-        self.realtime = None;
-        let now_ns = newest.at_ns;
-        let (Some((theirs_ns, own)), Some(trips)) = (clocks, self.trips(now_ns)) else {
-            return;
-        };
-        // The combined bounds may be wider than the newest ones. The newest ones guarantee that no
-        // stamp is ahead of its arrival.
-        let trips = trips.and(newest);
-        let between_ns = i128::from(theirs_ns) - i128::from(own.realtime_ns);
-        let within_ns = i128::from(own.within_ns) + 2 * i128::from(READ_NS);
-        let found =
-            Bounds { lo_ns: between_ns - within_ns, hi_ns: between_ns + within_ns, at_ns: now_ns };
-        let is_trusted = now_ns >= self.distrust_until_ns;
-        if found.lo_ns > trips.hi_ns || trips.lo_ns > found.hi_ns {
-            self.contradictions += u64::from(is_trusted);
-            self.distrust_until_ns = now_ns.saturating_add(DISTRUST_NS);
-        } else if is_trusted {
-            self.realtime = Some(found);
-        }
     }
 
     fn take(&mut self, found: Bounds) {
@@ -201,18 +154,12 @@ impl Offset {
         let Some(trips) = self.trips(now_ns) else {
             return;
         };
-        let realtime = self.realtime(now_ns);
-        // Each kind of bounds has a margin of its own. The higher candidate is nearer to the true
-        // offset.
-        let below = |of_trips_ns: i128, of_kept_ns: i128| {
-            let by_trips_ns = trips.lo_ns - of_trips_ns;
-            realtime.map_or(by_trips_ns, |realtime| by_trips_ns.max(realtime.lo_ns - of_kept_ns))
+        let holds = |used_ns: i128| {
+            used_ns <= trips.lo_ns && used_ns >= trips.lo_ns - MAX_BELOW_NS
         };
-        let (most_ns, least_ns) = (below(0, 0), below(MAX_BELOW_NS, REALTIME_MAX_BELOW_NS));
-        let holds = |used_ns: i128| used_ns <= most_ns && used_ns >= least_ns;
         if !self.used_ns.is_some_and(holds) {
             self.refits += u64::from(self.used_ns.is_some());
-            self.used_ns = Some(below(MARGIN_NS, REALTIME_MARGIN_NS));
+            self.used_ns = Some(trips.lo_ns - MARGIN_NS);
         }
     }
 
@@ -222,19 +169,6 @@ impl Offset {
         all.reduce(Bounds::and)
     }
 
-    /// The bounds by realtime clocks. They do not widen with time, because the clocks are kept
-    /// together continuously.
-    fn realtime(&self, now_ns: u64) -> Option<Bounds> {
-        let is_new =
-            |realtime: &Bounds| now_ns.saturating_sub(realtime.at_ns) <= REALTIME_TIMEOUT_NS;
-        self.realtime.filter(is_new)
-    }
-
-    /// True if realtime clocks narrow the bounds now.
-    pub(crate) fn uses_realtime(&self, now_ns: u64) -> bool {
-        self.realtime(now_ns).is_some()
-    }
-
     /// The offset in use, ns. `None` before the first round trip.
     pub(crate) fn used_ns(&self) -> Option<i128> {
         self.used_ns.filter(|_| self.is_measured())
@@ -242,9 +176,7 @@ impl Offset {
 
     /// Upper bound of how much older stamps may look than they are, ns.
     pub(crate) fn uncertainty_ns(&self, now_ns: u64) -> Option<u64> {
-        let trips = self.trips(now_ns)?;
-        let known = self.realtime(now_ns).map_or(trips, |realtime| trips.and(realtime));
-        u64::try_from(known.hi_ns - self.used_ns?).ok()
+        u64::try_from(self.trips(now_ns)?.hi_ns - self.used_ns?).ok()
     }
 }
 
@@ -289,19 +221,6 @@ mod tests {
         }
     }
 
-    /// Readings of realtime clocks that are `apart_ns` from each other, with the operator's bound.
-    fn realtime_readings(
-        clocks: &Clocks,
-        now_ns: u64,
-        apart_ns: i64,
-        within_ns: u64,
-    ) -> (u64, RealtimeClock) {
-        let realtime_ns = 1_700_000_000_000_000_000;
-        let own = RealtimeClock { realtime_ns, within_ns };
-        let theirs_ns = i128::from(realtime_ns) + clocks.true_ns(now_ns) + i128::from(apart_ns);
-        (u64::try_from(theirs_ns).unwrap(), own)
-    }
-
     proptest! {
         /// Holds for any path delays, however asymmetric.
         #[test]
@@ -316,7 +235,7 @@ mod tests {
             for (there_ns, back_ns) in ways {
                 let trip = trip(&clocks, now_ns, there_ns, back_ns);
                 now_ns = trip.now_ns;
-                prop_assert!(offset.note(trip, None));
+                prop_assert!(offset.note(trip));
                 let true_ns = clocks.true_ns(now_ns);
                 let used_ns = offset.used_ns().unwrap();
                 let uncertain_ns = offset.uncertainty_ns(now_ns).unwrap();
@@ -333,88 +252,16 @@ mod tests {
         }
     }
 
-    proptest! {
-        /// Holds for any path delays. If the operator's bound holds, no stamp looks fresher than it
-        /// is, and the uncertainty follows the bound. If it does not, stamps stay within the bounds
-        /// of round trips and are never ahead.
-        #[test]
-        fn clocks_that_are_kept_together_bound_the_uncertainty_and_never_beyond_what_round_trips_show(
-            offset_ns in -1_000_000_000_000_i64..1_000_000_000_000,
-            drift_ppm in -3_i128..3,
-            within_ns in 1_000_u64..2_000_000,
-            steps in prop::collection::vec((0_usize..100, -5_000_000_i64..5_000_000), 0..4),
-            right in prop::bool::ANY,
-            ways in prop::collection::vec((20_000_u64..50_000_000, 20_000_u64..50_000_000), 1..100),
-        ) {
-            let clocks = Clocks { offset_ns: i128::from(offset_ns), drift_ppm };
-            let mut offset = Offset::default();
-            let mut now_ns = 2_000_000_000_000;
-            let mut apart_ns = 0;
-            for (at, (there_ns, back_ns)) in ways.into_iter().enumerate() {
-                for (_, step_ns) in steps.iter().filter(|(step_at, _)| *step_at == at) {
-                    let most_ns = within_ns.cast_signed();
-                    apart_ns = if right { step_ns % (most_ns + 1) } else { *step_ns };
-                }
-                let trip = trip(&clocks, now_ns, there_ns, back_ns);
-                now_ns = trip.now_ns;
-                let readings = realtime_readings(&clocks, now_ns, apart_ns, within_ns);
-                prop_assert!(offset.note(trip, Some(readings)));
-                let (true_ns, used_ns) = (clocks.true_ns(now_ns), offset.used_ns().unwrap());
-                prop_assert!(used_ns <= true_ns + i128::from(back_ns) + 1_000, "ahead of what was sent last");
-                let uncertain_ns = i128::from(offset.uncertainty_ns(now_ns).unwrap());
-                if right {
-                    prop_assert!(used_ns <= true_ns + 1, "{used_ns} {true_ns}");
-                    prop_assert!(true_ns - used_ns <= uncertain_ns + 1);
-                    let most_ns = 2 * i128::from(within_ns) + 4 * i128::from(READ_NS) + REALTIME_MAX_BELOW_NS;
-                    prop_assert!(uncertain_ns <= most_ns, "{uncertain_ns} of {most_ns}");
-                }
-            }
-            prop_assert_eq!(offset.steps, 0);
-            prop_assert!(!right || offset.contradictions == 0);
-        }
-    }
-
-    #[test]
-    fn clocks_that_round_trips_contradict_are_counted_once_and_not_used_for_a_while_after() {
-        let clocks = Clocks { offset_ns: 7_000_000, drift_ppm: 0 };
-        let mut offset = Offset::default();
-        let mut now_ns = 1_000_000_000_000;
-        let mut run = |offset: &mut Offset, seconds: u64, apart_ns: i64| {
-            for _ in 0..seconds * 10 {
-                now_ns += 100_000_000;
-                let readings = realtime_readings(&clocks, now_ns, apart_ns, 20_000);
-                assert!(
-                    offset.note(trip(&clocks, now_ns - 350_000, 150_000, 150_000), Some(readings))
-                );
-                let late_ns = clocks.true_ns(now_ns) - offset.used_ns().unwrap();
-                assert!(late_ns >= 0, "{apart_ns}: {late_ns}");
-            }
-            (
-                offset.uses_realtime(now_ns),
-                offset.contradictions,
-                offset.uncertainty_ns(now_ns).unwrap(),
-            )
-        };
-        let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 5, 10_000);
-        assert!(uses_realtime && contradictions == 0 && uncertain_ns < 60_000, "{uncertain_ns}");
-        let (uses_realtime, contradictions, uncertain_ns) = run(&mut offset, 200, 40_000_000);
-        assert!(!uses_realtime && uncertain_ns > 300_000, "{uncertain_ns}");
-        assert_eq!(contradictions, 1, "in 200 s");
-        assert!(!run(&mut offset, 50, 0).0, "right again, but not for long");
-        assert!(run(&mut offset, 20, 0).0);
-        assert_eq!((offset.contradictions, offset.steps), (1, 0));
-    }
-
     #[test]
     fn an_answer_that_took_longer_there_than_here_is_a_step_and_nothing_is_moved_until_the_next() {
         let clocks = Clocks { offset_ns: 0, drift_ppm: 0 };
         let mut offset = Offset::default();
-        assert!(offset.note(trip(&clocks, 5_000_000_000, 100_000, 100_000), None));
+        assert!(offset.note(trip(&clocks, 5_000_000_000, 100_000, 100_000)));
         // This host was suspended for half a millisecond while the answer was in flight.
         let suspended =
             Trip { now_ns: 6_000_050_000, ..trip(&clocks, 6_000_000_000, 300_000, 100_000) };
         let suspended = Trip { sent_ns: suspended.received_ns + 1_000_000, ..suspended };
-        assert!(!offset.note(suspended, None));
+        assert!(!offset.note(suspended));
         assert_eq!((offset.used_ns(), offset.steps), (None, 1));
     }
 
@@ -427,7 +274,7 @@ mod tests {
             let slow_ns = if at % 10 == 9 { 3_000_000 } else { 0 };
             let asked_ns = 1_000_000_000 + at * 100_000_000;
             let trip = trip(&clocks, asked_ns, 150_000 + slow_ns, 120_000 + slow_ns);
-            offset.note(trip, None);
+            offset.note(trip);
         }
         assert_eq!((offset.refits, offset.steps), (0, 0), "in five minutes");
     }
@@ -442,7 +289,7 @@ mod tests {
                 if at == 20 {
                     clocks.offset_ns += step_ns;
                 }
-                offset.note(trip(&clocks, asked_ns, 100_000, 100_000), None);
+                offset.note(trip(&clocks, asked_ns, 100_000, 100_000));
                 asked_ns += 100_000_000;
             }
             assert_eq!(offset.steps, 1, "{step_ns}");
@@ -463,9 +310,9 @@ mod tests {
             (1, 0, 0, 20_000_000_000),
         ] {
             let trip = Trip { asked_ns, received_ns, sent_ns, now_ns };
-            assert!(!offset.note(trip, None), "{trip:?}");
+            assert!(!offset.note(trip), "{trip:?}");
         }
-        assert_eq!((offset.used_ns(), offset.uncertainty_ns(5)), (None, None));
+        assert_eq!((offset.used_ns(), offset.uncertainty_ns(5)), (None));
     }
 
     #[test]

@@ -8,7 +8,6 @@ use crate::protocol::message::{
 use crate::protocol::offset::{Offset, Trip, shifted};
 use crate::protocol::selection::Selection;
 use crate::protocol::stream::SILENCE_TIMEOUT_NS;
-use crate::protocol::wall::RealtimeClock;
 
 /// Interval between requests while nothing arrives.
 pub(crate) const REQUEST_INTERVAL_NS: u64 = 100_000_000;
@@ -107,8 +106,6 @@ pub(crate) struct Receiver {
     has_rival: bool,
     leader: LeaderStatus,
     offset: Offset,
-    /// This host's realtime clock, if it is used.
-    clock: Option<RealtimeClock>,
     received: Received,
 }
 
@@ -121,11 +118,6 @@ impl Receiver {
     pub(crate) fn select(&mut self, services: u32) {
         self.owes |= self.selection.services != services;
         self.selection.services = services;
-    }
-
-    /// Sets this host's realtime clock for further messages. `None` if it is not used.
-    pub(crate) const fn set_clock(&mut self, clock: Option<RealtimeClock>) {
-        self.clock = clock;
     }
 
     /// Handles a message of `bytes` that arrived at `now_ns`.
@@ -243,9 +235,7 @@ impl Receiver {
 
     fn measure(&mut self, status: &Status, now_ns: u64) {
         if let Some(trip) = self.trip(status, now_ns) {
-            // 0 means that the sender's clock is not used.
-            let theirs_ns = Some(status.realtime_ns).filter(|ns| *ns > 0);
-            self.offset.note(trip, theirs_ns.zip(self.clock));
+            self.offset.note(trip);
         }
     }
 

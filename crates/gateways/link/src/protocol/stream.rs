@@ -80,8 +80,6 @@ pub(crate) struct Stream {
     /// Shortest time from a status to its acknowledgement, ns.
     shortest_ns: u64,
     lanes: BTreeMap<LaneKey, Lane>,
-    /// [`Status::realtime_ns`].
-    realtime_ns: u64,
     sent: Sent,
 }
 
@@ -127,14 +125,6 @@ impl Stream {
             let took_ns = now_ns.saturating_sub(sent_ns);
             self.shortest_ns = self.shortest_ns.min(took_ns);
         }
-    }
-
-    /// Sets this host's realtime clock for further messages: [`Status::realtime_ns`].
-    pub(crate) const fn set_realtime(&mut self, realtime_ns: Option<u64>) {
-        self.realtime_ns = match realtime_ns {
-            Some(realtime_ns) => realtime_ns,
-            None => 0,
-        };
     }
 
     /// True if the receiver has been silent for too long.
@@ -269,7 +259,6 @@ impl Stream {
             sent_ns: now_ns,
             dropped: self.sent.dropped,
             leader,
-            realtime_ns: self.realtime_ns,
         }
     }
 }

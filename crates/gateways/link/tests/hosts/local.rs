@@ -170,37 +170,6 @@ fn sources_of_one_name_on_two_hosts_replace_each_other_no_more_than_their_robots
 }
 
 #[test]
-fn clocks_that_are_kept_together_bound_the_uncertainty_where_the_kernel_reports_that_something_keeps_them()
- {
-    let (here, there) = (Host::new(), Host::new());
-    let address = free_address();
-    let _worker = here.worker();
-    let _robots = here.robots(&["--robots", "2"]);
-    let kept = "[clock]\nrealtime_within_s = 0.00002\n";
-    let _base = here.link(&format!("{}{kept}", of_worker(&address, &[])));
-    let desk = there.link(&format!("{}{kept}", of_other("desk", &address, FOLLOW)));
-    let mut planner = there.planner();
-    let begun = std::time::Instant::now();
-    // The clock must not have been set for ten seconds.
-    while begun.elapsed() < Duration::from_secs(13) {
-        let frame = planner.frame();
-        assert!(frame.sent_ns <= frame.read_ns);
-    }
-    planner.leave();
-    let desk = ended(desk);
-    let taken = desk.json()["taken"][0].clone();
-    assert_eq!(taken["clock_contradictions"], 0, "{taken}");
-    let uncertainty_s = taken["clock_uncertainty_s"].as_f64().unwrap();
-    if taken["clock_realtime"] == true {
-        println!("figure: {uncertainty_s} s by clocks that are 20 µs apart at most");
-        assert!(uncertainty_s < 0.00006, "{taken}");
-    } else {
-        println!("skipped: the kernel's clock is not kept");
-        assert!(desk.errors().contains("does not count"), "{desk:?}");
-    }
-}
-
-#[test]
 fn links_and_workers_start_in_any_order_and_one_that_is_not_there_keeps_none_from_another() {
     let [first, second, there] = [Host::new(), Host::new(), Host::new()];
     let [one, other] = [free_address(), free_address()];
