@@ -307,7 +307,7 @@ impl Bridge {
         (mqtt, connection): (&MqttSettings, &Mqtt),
         sides: &mut Vec<Box<dyn Sink>>,
     ) -> anyhow::Result<()> {
-        if mqtt.writes.is_empty() && !settings.passes_on() {
+        if mqtt.writes.is_empty() {
             return Ok(());
         }
         let (changes, changed) = sync_channel(MAX_WAITING);

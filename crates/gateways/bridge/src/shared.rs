@@ -1,6 +1,5 @@
 //! State shared by the threads of a bridge.
 
-use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -10,20 +9,16 @@ use joulebus_program::output::log_line;
 
 use crate::mapping::account::Account;
 use crate::mapping::intake::Intake;
-use crate::mapping::route::State;
 use crate::mapping::simulated::SimulatedClock;
 
 /// Nice value of the threads that serve connections, so that the worker and its sources run first.
 pub(crate) const NICE: u8 = 5;
-/// Maximum number of states that wait to be passed on.
-pub(crate) const MAX_STATES: usize = 1_000;
 
 /// The newest observations, the account of unmapped messages, and the flag of the connections.
 #[derive(Debug)]
 pub(crate) struct Shared {
     intake: Mutex<Intake>,
     account: Mutex<Account>,
-    states: Mutex<VecDeque<State>>,
     simulated: Option<Mutex<SimulatedClock>>,
     /// The simulated clock has moved.
     moved: Condvar,
@@ -37,7 +32,6 @@ impl Shared {
         Self {
             intake: Mutex::new(intake),
             account: Mutex::default(),
-            states: Mutex::default(),
             simulated: simulated.map(Mutex::new),
             moved: Condvar::new(),
             close: AtomicBool::new(false),
@@ -101,20 +95,6 @@ impl Shared {
         for line in news {
             log_line(&format!("implausible: {line}"));
         }
-    }
-
-    /// Adds states to pass on. Beyond the maximum the oldest are dropped. Returns their number.
-    pub(crate) fn add_states(&self, new: Vec<State>) -> usize {
-        let mut states = lock(&self.states);
-        states.extend(new);
-        let excess = states.len().saturating_sub(MAX_STATES);
-        states.drain(..excess);
-        excess
-    }
-
-    /// The states to pass on since the last call.
-    pub(crate) fn take_states(&self) -> VecDeque<State> {
-        std::mem::take(&mut lock(&self.states))
     }
 
     /// Counts a received message.

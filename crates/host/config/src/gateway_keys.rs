@@ -72,8 +72,6 @@ pub(crate) const BRIDGE: &[Key] = &[
     bridge("mqtt.read|vizier.fields.power_of_current", ValueKind::Flag, "", Flag(false), "The power is voltage times current."),
     bridge("mqtt.vda5050.topic", TOPIC, "", Required, "Topic of the state by VDA 5050."),
     bridge("mqtt.vda5050.current", CURRENT, "", Text("discharge_positive"), "Sign of batteryCurrent, which the standard does not state."),
-    bridge("mqtt.vda5050.pass_on", TOPIC, "", Unset,
-        "Topic on which the master gets each state with the energy forecast in `information`, with {robot}. Without it none."),
     bridge("mqtt.vizier.every_s", EVERY_S, "s", Number(1.0), "Time between two questions for a robot's status."),
     bridge("mqtt.vizier.commands", TOPIC, "", Text("matlab_api/{robot}"), "Topic of the robots' commands."),
     bridge("mqtt.write.what", ValueKind::Choice(&["forecast", "budget", "outlook", "alarms", "alarm_changes", "status"]), "", Required, "What is written."),

@@ -203,6 +203,10 @@ const REPLACED: &[(&str, &str)] = &[
     ("shard", SEVERAL_FLEETS),
     ("webhook", NO_WEBHOOKS),
     ("clock", ROUND_TRIPS),
+    (
+        "mqtt.vda5050.pass_on",
+        "Remove it: a [[mqtt.write]] with `what` = \"outlook\" has the same values, on a topic of their own",
+    ),
 ];
 
 /// Keys without an effect any more. Captures of earlier versions have them.

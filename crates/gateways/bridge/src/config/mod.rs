@@ -66,14 +66,7 @@ impl Settings {
         let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
         let values = ros2.clone().flat_map(|write| &write.value);
         mqtt.chain(values).any(|field| is_of_outlook(&field.value))
-            || self.passes_on()
             || ros2.into_iter().any(|write| write.what == RosWhat::Outlook)
-    }
-
-    /// True if states of vehicles are passed on.
-    pub(crate) fn passes_on(&self) -> bool {
-        let mut routes = self.mqtt.iter().flat_map(|mqtt| &mqtt.routes);
-        routes.any(|route| route.pass_on.is_some())
     }
 
     /// Interval of the most frequent topic. Alarm changes are read separately.

@@ -71,7 +71,7 @@ impl Check<'_> {
             _ => VERSIONS[1],
         });
         let tls = section.section("tls").and_then(|tls| self.tls(&tls));
-        let (mut routes, mut passed) = (Vec::new(), Vec::new());
+        let mut routes = Vec::new();
         for read in section.list("read") {
             let mut fields = self.fields(&read.or_defaults("fields"));
             fields.robot = read.text("robot_at").map(|at| ValuePath::at(&at));
@@ -80,19 +80,15 @@ impl Check<'_> {
         for vda in section.list("vda5050") {
             let negate = vda.text("current").is_some_and(|word| &*word == "discharge_negative");
             let route = self.route(vda.text("topic"), Fields::vda5050(negate));
-            let to = vda.text("pass_on");
-            let pass_on =
-                to.as_ref().and_then(|to| self.checked(to, Template::parse(to, self.fleet, true)));
-            passed.extend(to.zip(pass_on.clone()));
             if let Some(Route { name, pattern, .. }) = &route
                 && let Some(topic) = connection_topic(name)
                 && let Ok(of_connection) = Pattern::parse(&topic)
                 && pattern.has_robot()
             {
                 let fields = Fields::vda5050_connection();
-                routes.push(Route { name: topic, pattern: of_connection, fields, pass_on: None });
+                routes.push(Route { name: topic, pattern: of_connection, fields });
             }
-            routes.extend(route.map(|route| Route { pass_on, ..route }));
+            routes.extend(route);
         }
         let vizier = section.section("vizier").map(|section| {
             let fields = section.section("fields").map(|fields| self.fields(&fields));
@@ -102,9 +98,6 @@ impl Check<'_> {
                 fields: fields.unwrap_or_else(vizier::status_fields),
             }
         });
-        for (text, topic) in &passed {
-            self.apart_from_routes(text, topic, robots, &routes);
-        }
         let mut writes = Vec::new();
         for write in section.list("write") {
             let Some(topic) = write.text("topic") else { continue };
@@ -151,7 +144,7 @@ impl Check<'_> {
         let named =
             is_named.then_some(()).ok_or("needs {robot}, or else `robot_at`: one of the two");
         self.checked(&topic, named)?;
-        Some(Route { name: topic.to_string(), pattern, fields, pass_on: None })
+        Some(Route { name: topic.to_string(), pattern, fields })
     }
 
     fn fields(&mut self, section: &Section<'_>) -> Fields {

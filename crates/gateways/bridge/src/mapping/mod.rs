@@ -17,5 +17,4 @@ pub(crate) mod route;
 pub(crate) mod simulated;
 pub(crate) mod topic;
 pub(crate) mod units;
-pub(crate) mod vda5050;
 pub(crate) mod vizier;

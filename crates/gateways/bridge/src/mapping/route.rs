@@ -8,7 +8,7 @@ use crate::mapping::account::{Account, Reason};
 use crate::mapping::fields::Fields;
 use crate::mapping::observation::Observation;
 use crate::mapping::robots::Robots;
-use crate::mapping::topic::{Pattern, Template};
+use crate::mapping::topic::Pattern;
 use crate::mapping::vizier;
 
 /// Number of rounds after which a request counts as unanswered.
@@ -24,15 +24,6 @@ pub(crate) struct Route {
     pub(crate) name: String,
     pub(crate) pattern: Pattern,
     pub(crate) fields: Fields,
-    /// The topic on which a state of VDA 5050 is passed on.
-    pub(crate) pass_on: Option<Template>,
-}
-
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct State {
-    pub(crate) robot: u32,
-    pub(crate) topic: String,
-    pub(crate) document: Value,
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -52,8 +43,6 @@ pub(crate) struct Reader {
     robots: Robots,
     max_bytes: usize,
     vizier: Option<Vizier>,
-    /// States to pass on, in the order in which they came.
-    states: Vec<State>,
 }
 
 #[derive(Debug, Clone)]
@@ -68,7 +57,7 @@ struct Vizier {
 
 impl Reader {
     pub(crate) fn new(routes: Vec<Route>, robots: Robots, max_bytes: usize) -> Self {
-        Self { routes, robots, max_bytes, vizier: None, states: Vec::new() }
+        Self { routes, robots, max_bytes, vizier: None }
     }
 
     #[must_use]
@@ -109,9 +98,7 @@ impl Reader {
         for (route, robot) in matching {
             is_read = true;
             let reading = Reading { route: &route.name, message, account };
-            let max_bytes = self.max_bytes;
-            let seen = reading.seen(route, robot, &self.robots, max_bytes, &mut self.states);
-            if let Some((robot, seen)) = seen {
+            if let Some((robot, seen)) = reading.seen(route, robot, &self.robots, self.max_bytes) {
                 take(robot, &seen);
             }
         }
@@ -129,11 +116,6 @@ impl Reader {
         if !is_read {
             account.count("mqtt", Reason::NoRoute, message.topic);
         }
-    }
-
-    /// The states that came since the last call.
-    pub(crate) fn take_states(&mut self) -> Vec<State> {
-        std::mem::take(&mut self.states)
     }
 
     /// Counts a message that was not read, by each route that its topic fits.
@@ -253,7 +235,6 @@ impl Reading<'_> {
         robot: Option<&str>,
         robots: &Robots,
         max_bytes: usize,
-        states: &mut Vec<State>,
     ) -> Option<(u32, Observation)> {
         // Look up a name in the topic first, so that messages about other robots are not parsed.
         let id = robot.map(|name| self.id(name, robots));
@@ -273,10 +254,6 @@ impl Reading<'_> {
                 (name, id)
             }
         };
-        if let Some(topic) = &route.pass_on {
-            let (topic, document) = (topic.of(&robot), document.clone());
-            states.push(State { robot: id, topic, document });
-        }
         if let Some(standard) = route.fields.standard
             && let Some(version) = standard.unknown_version(&document)
         {
@@ -363,7 +340,6 @@ mod tests {
                 robot,
                 ..Fields::default()
             },
-            pass_on: None,
         }
     }
 
@@ -504,7 +480,6 @@ mod tests {
             name: topic.to_owned(),
             pattern: Pattern::parse(topic).unwrap(),
             fields,
-            pass_on: None,
         };
         let routes = vec![
             route("v/{robot}/state", Fields::vda5050(false)),

@@ -279,9 +279,6 @@ impl Mqtt {
                 self.reader.read(message, &mut account, |robot, seen| {
                     shared.intake().take(robot, seen, at_ns);
                 });
-                for _ in 0..shared.add_states(self.reader.take_states()) {
-                    self.outlet.count_lost();
-                }
             }
             Incoming::TooLong { topic } => self.skip(Reason::TooLong, &topic),
             Incoming::Malformed { topic } => self.skip(Reason::WrongEncoding, &topic),

@@ -15,8 +15,6 @@ use serde_json::{Value, json};
 use crate::config::Write;
 use crate::mapping::outgoing::{Object, What, document, values};
 use crate::mapping::robots::Robots;
-use crate::mapping::route::State;
-use crate::mapping::vda5050::add_outlook;
 use crate::mqtt::outlet::{Outgoing, Outlet};
 use crate::outbound::{Sink, Times, next_due_ns};
 use crate::shared::Shared;
@@ -141,25 +139,6 @@ impl MqttSink {
             }
         }
         self.publish_changes(times.now_ns);
-        self.pass_on(board, times);
-    }
-
-    /// Passes on the states of vehicles, each with the newest outlook.
-    fn pass_on(&self, board: &Board, times: Times) {
-        for State { robot, topic, mut document } in self.start.shared.take_states() {
-            let row = board.rows.get(&robot).filter(|_| board.is_reliable);
-            if let (Some(row), Some(name)) = (row, self.start.robots.name(robot)) {
-                let outlook = board.outlooks.get(&robot);
-                let unix_ns = |at_ns| times.unix_ns(at_ns);
-                add_outlook(&mut document, &values((robot, name), &row.newest(), outlook, unix_ns));
-            }
-            let payload = document.to_string().into_bytes();
-            let qos = QoS::AtMostOnce;
-            let state = Outgoing { topic, payload, qos, retain: false, expires_s: None };
-            if !self.start.outlet.write(state) {
-                self.start.outlet.count_lost();
-            }
-        }
     }
 
     fn publish_changes(&mut self, now_ns: u64) {

@@ -4,7 +4,6 @@
 pub(crate) mod broker;
 mod kinds;
 mod secure;
-mod vda5050;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
