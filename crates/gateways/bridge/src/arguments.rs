@@ -10,8 +10,6 @@ use joulebus_program::config_file::ConfigFile;
 #[command(after_help = "Examples:\n  \
     joulebus bridge configs/bridges/json.toml             power and commands as JSON, forecasts and budgets out\n  \
     joulebus bridge configs/bridges/vda5050.toml          vehicles' states by VDA 5050\n  \
-    joulebus bridge configs/bridges/robotarium.toml       asks the Robotarium's robots, sends \
-    nothing else\n  \
     joulebus bridge configs/bridges/ros2.toml             battery states and commands of ROS 2, diagnostics out\n  \
     joulebus bridge my-bridge.toml --check                only checks the file\n  \
     joulebus bridge ros2 --robots 'robot{id}=0-9'         the usual topics, without a file\n  \

@@ -204,6 +204,10 @@ const REPLACED: &[(&str, &str)] = &[
     ("webhook", NO_WEBHOOKS),
     ("clock", ROUND_TRIPS),
     (
+        "mqtt.vizier",
+        "It went: a program of yours asks the Robotarium's vizier, and publishes what it answers (docs/reference/bridge-file.md)",
+    ),
+    (
         "mqtt.vda5050.pass_on",
         "Remove it: a [[mqtt.write]] with `what` = \"outlook\" has the same values, on a topic of their own",
     ),

@@ -48,7 +48,7 @@ impl Settings {
     pub(crate) fn is_source(&self) -> bool {
         let mqtt = self.mqtt.as_ref();
         let ros2 = self.ros2.as_ref();
-        mqtt.is_some_and(|mqtt| !mqtt.routes.is_empty() || mqtt.vizier.is_some())
+        mqtt.is_some_and(|mqtt| !mqtt.routes.is_empty())
             || ros2.is_some_and(|ros2| !ros2.routes.is_empty())
     }
 
@@ -102,9 +102,7 @@ impl Settings {
     /// always report it, or that it is unknown.
     fn reports_charging(&self) -> bool {
         self.mqtt.as_ref().is_some_and(|mqtt| {
-            let vizier = mqtt.vizier.as_ref().map(|vizier| &vizier.fields);
-            let mut fields = mqtt.routes.iter().map(|route| &route.fields).chain(vizier);
-            fields.any(|fields| fields.charging.is_some())
+            mqtt.routes.iter().any(|route| route.fields.charging.is_some())
         })
     }
 }
@@ -315,17 +313,6 @@ mod tests {
         );
         let nothing = load("[robots]\nr = 1\n[ros2]\n").unwrap_err().to_string();
         assert!(nothing.contains("neither reads nor writes"), "{nothing}");
-    }
-
-    #[test]
-    fn what_a_vizier_is_asked_by_is_not_written() {
-        for topic in ["{robot}/requests", "{robot}/responses/x/1"] {
-            let text = GOOD
-                .replace("[[mqtt.read]]", "[mqtt.vizier]\n[[mqtt.read]]")
-                .replace("jb/{robot}", topic);
-            let refused = load(&text).unwrap_err().to_string();
-            assert!(refused.contains("vizier"), "{refused}");
-        }
     }
 
     #[test]

@@ -11,9 +11,8 @@ use crate::mapping::fields::{Fields, Flag, Number, ValuePath, connection_topic};
 use crate::mapping::outgoing::{OutgoingValue, What, quantity, value_names};
 use crate::mapping::robots::Robots;
 use crate::mapping::route::Route;
-use crate::mapping::topic::{Pattern, ROBOT, Template};
+use crate::mapping::topic::{Pattern, Template};
 use crate::mapping::units::Quantity;
-use crate::mapping::vizier;
 
 /// Versions of MQTT, as connections name them: 3.1.1 and 5.
 pub(crate) const VERSIONS: [u8; 2] = [4, 5];
@@ -32,15 +31,7 @@ pub(crate) struct MqttSettings {
     pub(crate) keep_alive: Duration,
     pub(crate) max_payload_bytes: usize,
     pub(crate) routes: Vec<Route>,
-    pub(crate) vizier: Option<VizierSettings>,
     pub(crate) writes: Vec<Write>,
-}
-
-/// A vizier to poll.
-#[derive(Debug, Clone)]
-pub(crate) struct VizierSettings {
-    pub(crate) every: Duration,
-    pub(crate) fields: Fields,
 }
 
 /// A topic to write.
@@ -90,20 +81,9 @@ impl Check<'_> {
             }
             routes.extend(route);
         }
-        let vizier = section.section("vizier").map(|section| {
-            let fields = section.section("fields").map(|fields| self.fields(&fields));
-            routes.extend(self.route(section.text("commands"), vizier::command_fields()));
-            VizierSettings {
-                every: Self::every(&section, "every_s", 1.0),
-                fields: fields.unwrap_or_else(vizier::status_fields),
-            }
-        });
         let mut writes = Vec::new();
         for write in section.list("write") {
             let Some(topic) = write.text("topic") else { continue };
-            if vizier.is_some() {
-                self.apart_from_vizier(&topic, robots);
-            }
             writes.extend(self.write(&write, &topic, robots, &routes));
         }
         Some(MqttSettings {
@@ -116,7 +96,6 @@ impl Check<'_> {
             keep_alive: Duration::from_secs(section.integer("keep_alive_s")?),
             max_payload_bytes: section.integer("max_payload_bytes")?,
             routes,
-            vizier,
             writes,
         })
     }
@@ -246,19 +225,6 @@ impl Check<'_> {
         let apart = reads
             .map_or(Ok(()), |route| Err(format!("is written, and {} reads it too", route.name)));
         self.checked(text, apart)
-    }
-
-    /// Refuses topics of a vizier's nodes: those receive only this bridge's requests, and nobody
-    /// writes in their name.
-    fn apart_from_vizier(&mut self, topic: &Text, robots: &Robots) {
-        let text = topic.replace("{fleet}", self.fleet);
-        let is_its = robots.iter().any(|(_, robot)| {
-            let written = text.replace(ROBOT, robot);
-            written == vizier::request_topic(robot)
-                || written.starts_with(&format!("{robot}/responses/"))
-        });
-        let apart = (!is_its).then_some(()).ok_or("is a topic of the vizier, which is only read");
-        self.checked(topic, apart);
     }
 
     fn outgoing_values(

@@ -49,9 +49,8 @@ pub(crate) enum Reason {
     NoRoute,
     /// A field that none of the first messages of a robot had.
     NeverCame,
-    NotAsked,
     NoAnswer,
-    /// An answer that reports a failure or has no body.
+    /// A broker or a participant refuses.
     Refused,
 }
 
@@ -85,7 +84,6 @@ impl Reason {
             Self::Late => "late",
             Self::NoRoute => "no_route",
             Self::NeverCame => "never_came",
-            Self::NotAsked => "not_asked",
             Self::NoAnswer => "no_answer",
             Self::Refused => "refused",
         }

@@ -213,8 +213,7 @@ impl Intake {
         known.note_exchange(seen, self.holds.silent_ns, at_ns);
         known.off = seen.off == Some(true);
         known.sampled_off &= known.off;
-        // A repeated reading is not a new measurement.
-        if seen.power.is_some() && !(seen.repeats && known.power.is_some()) {
+        if seen.power.is_some() {
             set(&mut known.power, seen.power, at_ns);
             known.power_of_current = seen.power_of_current;
             known.sampled = false;
@@ -578,19 +577,6 @@ mod tests {
         }
         let found = intake.judgement().records();
         assert!(found.iter().any(|one| one.finding.kind == plausibility::Kind::Unit), "{found:?}");
-    }
-
-    #[test]
-    fn a_repeated_measurement_keeps_its_time() {
-        let mut intake = intake(HOLDS, ChargeReading::Load);
-        let again = Observation { repeats: true, ..power(3.0, PowerOf::Load) };
-        intake.take(7, &again, 10);
-        assert!(!intake.sample(7, 20).unwrap().held, "the first one");
-        intake.take(7, &again, 90);
-        let state = intake.sample(7, 100).unwrap();
-        assert_eq!((state.held, state.measured_ns), (true, Some(10)));
-        intake.take(7, &again, 150);
-        assert_eq!(intake.sample(7, 160).unwrap().power_w, None, "measured too long ago");
     }
 
     #[test]

@@ -17,4 +17,3 @@ pub(crate) mod route;
 pub(crate) mod simulated;
 pub(crate) mod topic;
 pub(crate) mod units;
-pub(crate) mod vizier;

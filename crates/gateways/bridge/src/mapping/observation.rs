@@ -35,8 +35,6 @@ pub(crate) struct Observation {
     pub(crate) off: Option<bool>,
     /// Messages of its kind report whether the robot charges.
     pub(crate) reports_charging: bool,
-    /// The message is known to repeat the previous measurement.
-    pub(crate) repeats: bool,
     /// The robot says that it is gone, or its broker does.
     pub(crate) has_ended: bool,
     /// It is of one pack of several, with its number: the sum counts.
@@ -68,7 +66,6 @@ impl Observation {
             power_of_current: false,
             is_reserved: false,
             reports_charging: false,
-            repeats: false,
             off: self.off.filter(|is_off| *is_off),
             ..*self
         };

@@ -1,7 +1,5 @@
 //! Routes messages to the observations of their robots.
 
-use std::collections::{BTreeMap, HashMap};
-
 use serde_json::Value;
 
 use crate::mapping::account::{Account, Reason};
@@ -9,14 +7,10 @@ use crate::mapping::fields::Fields;
 use crate::mapping::observation::Observation;
 use crate::mapping::robots::Robots;
 use crate::mapping::topic::Pattern;
-use crate::mapping::vizier;
 
-/// Number of rounds after which a request counts as unanswered.
-const ROUNDS: u64 = 3;
 const BYTE_ORDER_MARK: &[u8] = b"\xef\xbb\xbf";
 /// Numbers that Python and JavaScript write though JSON has none of them: they are not known.
 const NOT_NUMBERS: [&[u8]; 3] = [b"NaN", b"-Infinity", b"Infinity"];
-const VIZIER: &str = "vizier";
 
 /// A pattern of topics, with the layout of their documents.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,42 +36,17 @@ pub(crate) struct Reader {
     routes: Vec<Route>,
     robots: Robots,
     max_bytes: usize,
-    vizier: Option<Vizier>,
-}
-
-#[derive(Debug, Clone)]
-struct Vizier {
-    client: String,
-    fields: Fields,
-    round: u64,
-    next: u64,
-    open: BTreeMap<u64, (u32, u64)>,
-    newest: HashMap<u32, String>,
 }
 
 impl Reader {
     pub(crate) fn new(routes: Vec<Route>, robots: Robots, max_bytes: usize) -> Self {
-        Self { routes, robots, max_bytes, vizier: None }
-    }
-
-    #[must_use]
-    pub(crate) fn with_vizier(mut self, client: &str, fields: Fields) -> Self {
-        self.vizier = Some(Vizier {
-            client: client.to_owned(),
-            fields,
-            round: 0,
-            next: 0,
-            open: BTreeMap::new(),
-            newest: HashMap::new(),
-        });
-        self
+        Self { routes, robots, max_bytes }
     }
 
     /// The topics to subscribe to, without duplicates.
     pub(crate) fn filters(&self) -> Vec<String> {
         let mut filters: Vec<String> =
             self.routes.iter().map(|route| route.pattern.filter()).collect();
-        filters.extend(self.vizier.iter().map(|vizier| vizier::response_filter(&vizier.client)));
         filters.sort();
         filters.dedup();
         filters
@@ -102,17 +71,6 @@ impl Reader {
                 take(robot, &seen);
             }
         }
-        if let Some(vizier) = &mut self.vizier
-            && let Some((node, number)) = vizier::answered(&vizier.client, message.topic)
-        {
-            is_read = true;
-            let reading = Reading { route: VIZIER, message, account };
-            if let Some((robot, seen)) =
-                vizier.seen(reading, (node, number), &self.robots, self.max_bytes)
-            {
-                take(robot, &seen);
-            }
-        }
         if !is_read {
             account.count("mqtt", Reason::NoRoute, message.topic);
         }
@@ -124,36 +82,6 @@ impl Reader {
         for route in routes.filter(|route| route.pattern.matches(topic).is_some()) {
             account.count(&route.name, reason, topic);
         }
-        let vizier = self.vizier.as_ref();
-        if vizier.is_some_and(|vizier| vizier::answered(&vizier.client, topic).is_some()) {
-            account.count(VIZIER, reason, topic);
-        }
-    }
-
-    /// The next round of requests to a vizier: topic and body for each robot.
-    pub(crate) fn requests(&mut self, account: &mut Account) -> Vec<(String, Value)> {
-        let Some(vizier) = &mut self.vizier else {
-            return Vec::new();
-        };
-        vizier.round += 1;
-        let round = vizier.round;
-        let robots = &self.robots;
-        vizier.open.retain(|_, (robot, asked)| {
-            let waits = round - *asked < ROUNDS;
-            if !waits {
-                let name = robots.name(*robot).unwrap_or_default();
-                account.count(VIZIER, Reason::NoAnswer, name);
-            }
-            waits
-        });
-        let request = |(robot, name): (u32, &str)| {
-            let number = vizier.next;
-            vizier.next += 1;
-            vizier.open.insert(number, (robot, round));
-            let body = vizier::request(&vizier.client, name, number);
-            (vizier::request_topic(name), body)
-        };
-        robots.iter().map(request).collect()
     }
 }
 
@@ -279,42 +207,6 @@ impl Reading<'_> {
     }
 }
 
-impl Vizier {
-    fn seen(
-        &mut self,
-        mut reading: Reading<'_>,
-        (node, number): (&str, u64),
-        robots: &Robots,
-        max_bytes: usize,
-    ) -> Option<(u32, Observation)> {
-        let document = reading.document(max_bytes, false)?;
-        let asked = self.open.get(&number).map(|(robot, _)| *robot);
-        let Some(robot) = asked.filter(|robot| robots.id(node) == Some(*robot)) else {
-            reading.count(Reason::NotAsked, node);
-            return None;
-        };
-        // An answer to an earlier request would be out of date.
-        self.open.retain(|other, (of, _)| *of != robot || *other > number);
-        let body = match vizier::body(&document) {
-            Ok(body) => body,
-            Err(reason) => {
-                reading.count(reason, node);
-                return None;
-            }
-        };
-        let text = body.to_string();
-        let repeats = self.newest.get(&robot) == Some(&text);
-        self.newest.insert(robot, text);
-        let seen = reading.observation(&self.fields, &body, node);
-        let seen = vizier::status(seen, repeats);
-        if seen.is_empty() {
-            reading.count(Reason::Nothing, node);
-            return None;
-        }
-        Some((robot, seen))
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use joulebus_testkit::cases;
@@ -436,43 +328,6 @@ mod tests {
         assert_eq!(without_nan(kept), kept);
     }
 
-    fn vizier() -> Reader {
-        Reader::new(Vec::new(), robots(), 1_000).with_vizier("jb", vizier::status_fields())
-    }
-
-    fn answer(power_mw: f64) -> Vec<u8> {
-        let body = json!({"power": power_mw, "batt_volt": 4.0, "charge_status": false}).to_string();
-        json!({"status": 200, "body": body, "type": "DATA"}).to_string().into_bytes()
-    }
-
-    #[test]
-    fn a_vizier_is_asked_in_rounds_and_each_answer_is_taken_once() {
-        let (mut reader, mut account) = (vizier(), Account::default());
-        assert_eq!(reader.filters(), ["+/responses/jb/+"]);
-        let asked = reader.requests(&mut account);
-        let topics: Vec<&str> = asked.iter().map(|(topic, _)| topic.as_str()).collect();
-        assert_eq!(topics, ["r1/requests", "r2/requests", "r3/requests"]);
-        assert_eq!(asked[1].1["id"], "jb/1");
-        assert_eq!(read(&mut reader, "r2/responses/jb/1", &answer(3_000.0)).0, [(2, 3.0)]);
-        let again = read(&mut reader, "r2/responses/jb/1", &answer(9_000.0));
-        assert_eq!(again, (vec![], vec![("not_asked", "r2".to_owned())]));
-        let of_another = read(&mut reader, "r3/responses/jb/0", &answer(9_000.0));
-        assert_eq!(of_another.1, [("not_asked", "r3".to_owned())]);
-        for _ in 0..2 {
-            reader.requests(&mut account);
-        }
-        assert_eq!(read(&mut reader, "r1/responses/jb/6", &answer(1_000.0)).0, [(1, 1.0)]);
-        let late = read(&mut reader, "r1/responses/jb/3", &answer(1_000.0));
-        assert_eq!(late.1[0].0, "not_asked", "an answer to an earlier request");
-        assert_eq!(account.records(), []);
-        reader.requests(&mut account);
-        let record = &account.records()[0];
-        assert_eq!(
-            (record.reason, record.count, &record.names[..]),
-            ("no_answer", 1, &["r3".to_owned()][..])
-        );
-    }
-
     /// A vehicle of VDA 5050 says when its message was made, and its broker when it is gone.
     #[test]
     fn ages_and_ends_of_vehicles_are_told() {
@@ -519,30 +374,11 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_status_that_equals_the_one_before_is_a_repeated_measurement() {
-        let (mut reader, mut account, mut repeats) = (vizier(), Account::default(), Vec::new());
-        for (number, power_mw) in [(0, 3_000.0), (3, 3_000.0), (6, 3_010.0), (9, 3_010.0)] {
-            reader.requests(&mut account);
-            let payload = answer(power_mw);
-            let message = Message {
-                topic: &format!("r1/responses/jb/{number}"),
-                payload: &payload,
-                retained: false,
-                unix_s: 0.0,
-            };
-            reader.read(message, &mut account, |_, seen| repeats.push(seen.repeats));
-        }
-        assert_eq!(repeats, [false, true, false, true]);
-    }
-
     proptest! {
         #[test]
         fn no_message_panics(topic in "[a-z0-9/]{0,30}", payload in prop::collection::vec(any::<u8>(), 0..200)) {
             let (mut account, mut reader) = (Account::default(), reader());
-            reader.vizier = vizier().vizier;
-            reader.requests(&mut account);
-            for topic in [topic.as_str(), "fleet/r1/power", "all", "r1/responses/jb/0"] {
+            for topic in [topic.as_str(), "fleet/r1/power", "all"] {
                 let message = Message { topic, payload: &payload, retained: false, unix_s: 0.0 };
                 reader.read(message, &mut account, |_, seen| assert!(!seen.is_empty()));
             }

@@ -62,7 +62,6 @@ pub(crate) struct Mqtt {
     reader: Reader,
     /// The topics to subscribe to.
     filters: Vec<String>,
-    ask_due_ns: u64,
     /// Messages that are sent at the end. The broker sends the first of them if the bridge dies.
     goodbye: Vec<Outgoing>,
     shared: Arc<Shared>,
@@ -85,11 +84,8 @@ impl Mqtt {
             retain: write.retain,
             expires_s: None,
         });
-        let mut reader =
+        let reader =
             Reader::new(settings.routes.clone(), robots.clone(), settings.max_payload_bytes);
-        if let Some(vizier) = &settings.vizier {
-            reader = reader.with_vizier(&settings.client_id, vizier.fields.clone());
-        }
         let capacity = 1_000 + 4 * robots.len() * settings.writes.len().max(1);
         Ok(Self {
             broker: format!("{}:{}", settings.host, settings.port),
@@ -98,7 +94,6 @@ impl Mqtt {
             outlet: Arc::new(Outlet::new(capacity)?),
             filters: reader.filters(),
             reader,
-            ask_due_ns: 0,
             goodbye: goodbye.collect(),
             settings: settings.clone(),
             shared: Arc::clone(shared),
@@ -197,7 +192,6 @@ impl Mqtt {
     /// Serves a connection until it is lost. Returns when it has to end.
     fn serve(&mut self, connection: &mut Connection) -> Result<(), Lost> {
         while !self.shared.is_closed() {
-            self.ask(connection);
             self.send(connection);
             connection.poll(&self.outlet, &POLL_TIMEOUT)?;
             while let Some(incoming) = connection.next()? {
@@ -291,29 +285,6 @@ impl Mqtt {
     fn skip(&self, reason: Reason, topic: &str) {
         self.shared.count_message();
         self.reader.skip(topic, reason, &mut self.shared.account());
-    }
-
-    /// Sends the vizier's requests periodically.
-    fn ask(&mut self, connection: &Connection) {
-        let Some(vizier) = &self.settings.vizier else {
-            return;
-        };
-        if !connection.is_up() || clock::monotonic_ns() < self.ask_due_ns {
-            return;
-        }
-        self.ask_due_ns = after_ns(vizier.every);
-        let requests = self.reader.requests(&mut self.shared.account());
-        for (topic, body) in requests {
-            // A request without room is repeated in the next round.
-            self.outlet.write(Outgoing {
-                topic,
-                payload: body.to_string().into_bytes(),
-                qos: QoS::AtMostOnce,
-                retain: false,
-                // An interval is at most an hour.
-                expires_s: Some(vizier.every.as_secs_f64().ceil() as u32),
-            });
-        }
     }
 
     /// Sends what others have handed over, publishes that the bridge is offline, and disconnects.
