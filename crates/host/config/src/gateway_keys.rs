@@ -76,9 +76,6 @@ pub(crate) const BRIDGE: &[Key] = &[
     bridge("mqtt.write.topic", TOPIC, "", Required, "Topic to write, with {fleet} and {robot}."),
     bridge("mqtt.write.every_s", EVERY_S, "s", Unset, "Time between two messages. Without it 1, of budgets 5."),
     bridge("mqtt.write.retain", ValueKind::Flag, "", Unset, "Whether the broker keeps the newest. Without it budgets, alarms and status."),
-    bridge("mqtt.write.fields.*.value", VALUE, "", Required, "Value that this member of the document has."),
-    bridge("mqtt.write.fields.*.unit", UNIT, "", Unset, "Unit of the value. Without it the unit of the SI."),
-    bridge("mqtt.write.fields.*.negate", ValueKind::Flag, "", Flag(false), "Turns the sign."),
     bridge("ros2.domain_id", int(0..=232), "", Unset, "ROS domain. Without it the variable ROS_DOMAIN_ID, else 0."),
     bridge("ros2.networks", texts(TextRule::Any("IPv4 address"), 0, usize::MAX), "", Unset, "Addresses of this host that DDS uses. Without it all."),
     bridge("ros2.use_sim_time", ValueKind::Flag, "", Flag(false), "Whether samples have the time of a simulation, as /clock states it."),
@@ -98,8 +95,6 @@ pub(crate) const BRIDGE: &[Key] = &[
     bridge("ros2.write.topic", TOPIC, "", Unset, "Topic to write. Without it the usual topic."),
     bridge("ros2.write.every_s", EVERY_S, "s", Number(1.0), "Time between two messages."),
     bridge("ros2.write.value", VALUE, "", Unset, "With what = \"value\": the value."),
-    bridge("ros2.write.unit", UNIT, "", Unset, "With what = \"value\": its unit. Without it the unit of the SI."),
-    bridge("ros2.write.negate", ValueKind::Flag, "", Flag(false), "With what = \"value\": turns the sign."),
 ];
 
 /// Every key of a link's file.

@@ -186,6 +186,9 @@ const NO_WEBHOOKS: &str = "It went: `joulebus alarms --on-alarm` runs curl for e
 /// The replacement of realtime clocks that are kept together.
 const ROUND_TRIPS: &str = "Remove the section: round trips alone compare the clocks of two hosts (docs/explanation/links.md)";
 
+/// The replacement of names, units and signs of what a bridge writes.
+const OWN_NAMES: &str = "Remove it: a document has all values of its topic by their names, in units of the SI. Node-RED, Telegraf or topic_tools make another form of it";
+
 /// The replacement of shards.
 const SEVERAL_FLEETS: &str = "It went: a fleet has one worker. Split a fleet that is too large into several (docs/how-to/several-fleets.md). For a standby write `workers = [\"base\", \"base-2\"]` into every link's file, with the names of both links (docs/how-to/standby.md)";
 
@@ -203,6 +206,9 @@ const REPLACED: &[(&str, &str)] = &[
     ("shard", SEVERAL_FLEETS),
     ("webhook", NO_WEBHOOKS),
     ("clock", ROUND_TRIPS),
+    ("mqtt.write.fields", OWN_NAMES),
+    ("ros2.write.unit", OWN_NAMES),
+    ("ros2.write.negate", OWN_NAMES),
     (
         "mqtt.vizier",
         "It went: a program of yours asks the Robotarium's vizier, and publishes what it answers (docs/reference/bridge-file.md)",

@@ -62,11 +62,13 @@ impl Settings {
 
     /// True if values of outlooks are written: only then the worker computes them.
     pub(crate) fn writes_outlooks(&self) -> bool {
-        let mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes).flat_map(|write| &write.fields);
-        let ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
-        let values = ros2.clone().flat_map(|write| &write.value);
-        mqtt.chain(values).any(|field| is_of_outlook(&field.value))
-            || ros2.into_iter().any(|write| write.what == RosWhat::Outlook)
+        let mut mqtt = self.mqtt.iter().flat_map(|mqtt| &mqtt.writes);
+        let mut ros2 = self.ros2.iter().flat_map(|ros2| &ros2.writes);
+        let is_of_outlook = |value: &String| is_of_outlook(value);
+        mqtt.any(|write| write.what == What::Outlook)
+            || ros2.any(|write| {
+                write.what == RosWhat::Outlook || write.value.as_ref().is_some_and(is_of_outlook)
+            })
     }
 
     /// Interval of the most frequent topic. Alarm changes are read separately.
@@ -246,9 +248,7 @@ mod tests {
             "forecast" | "forecasts" | 12 | nearest word is "forecast"
             "forecast" | "forecast"\nevery_s = nan | 13 | NaN
             "forecast" | "status" | 11 | not of one robot
-            "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "watt" } | 14 | power_w
-            "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "soc", unit = "W" } | 14 | share, %
-            "forecast" | "forecast"\n[mqtt.write.fields]\nx = { value = "soc" }\n"/x/y" = { value = "soc" } | 14 | within
+            "forecast" | "forecast"\nfields = { x = { value = "soc" } } | 13 | all values
             [mqtt] | [bridge]\nreading_holds_s = 0\n[mqtt] | 5 | s; 0.01 to 3600
             [mqtt] | [bridge]\nname = "a/b"\n[mqtt] | 5 | a/b
             [mqtt] | [mqtt]\nusername = "joe" | 5 | password_file
@@ -263,7 +263,7 @@ mod tests {
 
     const ROS: &str = "[robots]\n\"r{id}\" = \"0-3\"\nlifter = 7\n[ros2]\ndomain_id = 7\nnetworks = [\"127.0.0.1\"]\n\
         [[ros2.read]]\ntopic = \"/{fleet}/{robot}/battery\"\ntype = \"sensor_msgs/msg/BatteryState\"\n\
-        [[ros2.write]]\nwhat = \"value\"\nvalue = \"power_w\"\nunit = \"mW\"\n\
+        [[ros2.write]]\nwhat = \"value\"\nvalue = \"power_w\"\n\
         [[ros2.write]]\nwhat = \"diagnostics\"\n";
 
     #[test]
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(ros2.routes[0].pattern.matches("/lab/x/battery"), Some(Some("x")));
         let topics: Vec<String> = ros2.writes.iter().map(|write| write.topic.of("r2")).collect();
         assert_eq!(topics, ["/r2/joulebus/power_w", "/diagnostics"]);
-        assert_eq!(ros2.writes[0].value.as_ref().unwrap().unit.name, "mW");
+        assert_eq!(ros2.writes[0].value.as_deref(), Some("power_w"));
     }
 
     #[test]
@@ -303,11 +303,10 @@ mod tests {
             BatteryState" | BatteryState"\npack_wh = -1 | 10 | 0.001 to
             power_w | watt | 12 | is no value
             "power_w" | "name" | 12 | is no number
-            "mW" | "mA" | 13 | allowed are W
-            unit = "mW" | every_s = 0 | 13 | 0.02 to 3600
+            "power_w" | "power_w"\nunit = "mW" | 13 | units of the SI
+            "power_w" | "power_w"\nevery_s = 0 | 13 | 0.02 to 3600
             "value" | "forecast" | 12 | belongs to
-            unit = "mW" | topic = "/lab/{robot}/battery" | 4 | both name
-            "diagnostics" | "diagnostics"\nunit = "W" | 16 | belongs to
+            "power_w" | "power_w"\ntopic = "/lab/{robot}/battery" | 4 | both name
             [ros2] | [mqtt]\nbroker = "h:1"\n[ros2]\nuse_sim_time = true | 7 | no simulated time
             "#,
         );

@@ -8,7 +8,7 @@ use serde_json::Value;
 use crate::config::check::Check;
 use crate::config::tls::TlsSettings;
 use crate::mapping::fields::{Fields, Flag, Number, ValuePath, connection_topic};
-use crate::mapping::outgoing::{OutgoingValue, What, quantity, value_names};
+use crate::mapping::outgoing::What;
 use crate::mapping::robots::Robots;
 use crate::mapping::route::Route;
 use crate::mapping::topic::{Pattern, Template};
@@ -41,7 +41,6 @@ pub(crate) struct Write {
     pub(crate) topic: Template,
     pub(crate) every_ns: u64,
     pub(crate) retain: bool,
-    pub(crate) fields: Vec<OutgoingValue>,
 }
 
 impl Check<'_> {
@@ -194,17 +193,11 @@ impl Check<'_> {
         self.apart_from_routes(topic, &template, robots, routes)?;
         let usual_s = if what == What::Budget { 5.0 } else { 1.0 };
         let every = Self::every(section, "every_s", usual_s);
-        let fields = if section.has("fields") {
-            self.outgoing_values(section, topic, what)?
-        } else {
-            what.usual().map(OutgoingValue::plain).collect()
-        };
         Some(Write {
             what,
             topic: template,
             every_ns: every.as_nanos() as u64,
             retain: section.flag("retain").unwrap_or(what.is_kept()),
-            fields,
         })
     }
 
@@ -226,63 +219,11 @@ impl Check<'_> {
             .map_or(Ok(()), |route| Err(format!("is written, and {} reads it too", route.name)));
         self.checked(text, apart)
     }
-
-    fn outgoing_values(
-        &mut self,
-        section: &Section<'_>,
-        topic: &Text,
-        what: What,
-    ) -> Option<Vec<OutgoingValue>> {
-        let of_robot = what
-            .is_of_robot()
-            .then_some(())
-            .ok_or("has fields, which only forecast, budget and alarms have");
-        self.checked(topic, of_robot)?;
-        let mut values: Vec<OutgoingValue> = Vec::new();
-        let mut fields: Vec<Section<'_>> = section.list("fields.*").collect();
-        // By name, as documents list them.
-        fields.sort_by_key(|field| field.name().map(|name| name.to_string()));
-        for field in fields {
-            let (name, value) = (field.name()?, field.text("value")?);
-            let known = self.quantity(&value)?;
-            let unit = match field.text("unit") {
-                None => known.si(),
-                Some(unit) => self.checked(&unit, known.unit(&unit))?,
-            };
-            let path = path(&name);
-            let within = values
-                .iter()
-                .find(|other| path.starts_with(&other.path) || other.path.starts_with(&path));
-            let apart = within.map_or(Ok(()), |other| {
-                Err(format!("lies within \"/{}\", or is it", other.path.join("/")))
-            });
-            self.checked(&name, apart)?;
-            let negate = field.flag("negate")?;
-            values.push(OutgoingValue { value: value.to_string(), path, unit, negate });
-        }
-        Some(values)
-    }
-
-    /// The quantity of a value's name.
-    pub(super) fn quantity(&mut self, value: &Text) -> Option<Quantity> {
-        let known = quantity(value).ok_or_else(|| {
-            let all: Vec<&str> = value_names().collect();
-            format!("is no value, allowed are {}", all.join(", "))
-        });
-        self.checked(value, known)
-    }
 }
 
 /// Numbers, texts and flags as JSON.
 fn json(scalars: Vec<Scalar>) -> Vec<Value> {
     scalars.into_iter().filter_map(|scalar| serde_json::to_value(scalar).ok()).collect()
-}
-
-/// The members of a JSON pointer, or a single name.
-fn path(name: &str) -> Vec<String> {
-    let pointer = ValuePath::at(name).pointer;
-    let parts = pointer.split('/').skip(1);
-    parts.map(|part| part.replace("~1", "/").replace("~0", "~")).collect()
 }
 
 /// Splits `host:port` or `[address]:port`.

@@ -7,7 +7,7 @@ use joulebus_ros_messages::RosType;
 
 use crate::config::check::Check;
 use crate::mapping::observation::PowerOf;
-use crate::mapping::outgoing::OutgoingValue;
+use crate::mapping::outgoing::check_number;
 use crate::mapping::robots::Robots;
 use crate::mapping::ros::incoming::{BatteryFields, RosRoute};
 use crate::mapping::ros::names::{check_topic, read_type};
@@ -48,7 +48,7 @@ pub(crate) struct RosWrite {
     pub(crate) topic: Template,
     pub(crate) every_ns: u64,
     /// The value of [`RosWhat::Value`].
-    pub(crate) value: Option<OutgoingValue>,
+    pub(crate) value: Option<String>,
 }
 
 impl Check<'_> {
@@ -174,29 +174,28 @@ impl Check<'_> {
 
     fn ros_write(&mut self, section: &Section<'_>, robots: &Robots) -> Option<RosWrite> {
         let what = section.word("what")?;
-        let (value, unit) = (section.text("value"), section.text("unit"));
-        let value = match (&value, what) {
-            (Some(value), RosWhat::Value) => Some(self.ros_value(value, unit.as_ref(), section)?),
+        let value = match (section.text("value"), what) {
+            (Some(value), RosWhat::Value) => {
+                self.checked(&value, check_number(&value))?;
+                Some(value.to_string())
+            }
             (None, RosWhat::Value) => {
                 let what = "is missing".to_owned();
                 self.add(section.problem("value", what, "Name one value"));
                 return None;
             }
-            (given, _) => {
-                if let Some(text) = given.as_ref().or(unit.as_ref()) {
-                    let refused = Err::<(), _>("belongs to what = \"value\"");
-                    self.checked(text, refused);
-                    return None;
-                }
-                None
+            (Some(text), _) => {
+                self.checked(&text, Err::<(), _>("belongs to what = \"value\""));
+                return None;
             }
+            (None, _) => None,
         };
         let name = section.text("topic");
         let usual = || match (what, &value) {
             (RosWhat::Diagnostics, _) => "/diagnostics".to_owned(),
             (RosWhat::Budget, _) => "/{robot}/joulebus/budget".to_owned(),
             (RosWhat::Outlook, _) => "/{robot}/joulebus/outlook".to_owned(),
-            (RosWhat::Value, Some(field)) => format!("/{{robot}}/joulebus/{}", field.value),
+            (RosWhat::Value, Some(value)) => format!("/{{robot}}/joulebus/{value}"),
             _ => "/{robot}/joulebus/forecast".to_owned(),
         };
         let place = name.clone().or_else(|| section.text("what"))?;
@@ -204,24 +203,6 @@ impl Check<'_> {
         let topic = self.ros_topic(&place, &name, (what.is_of_robot(), robots))?;
         let every = Self::every(section, "every_s", 1.0);
         Some(RosWrite { what, name, topic, every_ns: every.as_nanos() as u64, value })
-    }
-
-    fn ros_value(
-        &mut self,
-        value: &Text,
-        unit: Option<&Text>,
-        section: &Section<'_>,
-    ) -> Option<OutgoingValue> {
-        let known = self.quantity(value)?;
-        let is_number = known != Quantity::Plain || &**value == "charging";
-        let is_number = is_number.then_some(()).ok_or("is no number");
-        self.checked(value, is_number)?;
-        let unit = match unit {
-            None => known.si(),
-            Some(unit) => self.checked(unit, known.unit(unit))?,
-        };
-        let negate = section.flag("negate")?;
-        Some(OutgoingValue { unit, negate, ..OutgoingValue::plain(value) })
     }
 
     /// Checks that each topic has one purpose: the bridge reads no topic that it writes, and reads

@@ -1,10 +1,8 @@
-//! JSON documents about robots: a mapping of values to names, units and signs.
+//! The values of robots, and JSON documents of them.
 
 use joulebus_board::{Newest, RobotRecord};
 use joulebus_consumer::wire::{OUTLOOK_S, Outlook};
 use serde_json::{Map, Value, json};
-
-use crate::mapping::units::{Quantity, Unit};
 
 pub(crate) type Object = Map<String, Value>;
 
@@ -33,7 +31,7 @@ impl What {
         matches!(self, Self::Budget | Self::Alarms | Self::Status)
     }
 
-    /// The values of a document without a mapping of its own.
+    /// The values of a document.
     pub(crate) fn usual(self) -> impl Iterator<Item = &'static str> {
         let names = match self {
             Self::Forecast => {
@@ -59,28 +57,17 @@ impl What {
     }
 }
 
-/// All values of a robot, for use in mappings.
-const VALUES: [(Quantity, &str); 15] = [
-    (Quantity::Plain, "robot name quality quality_detail stamp_unix_ns target_unix_ns"),
-    (Quantity::Power, "reading_w"),
-    (Quantity::Time, "reading_age_s"),
-    (Quantity::Power, "power_w lo_w hi_w residual_w bias_w"),
-    (Quantity::Plain, "level alarms"),
-    (Quantity::Energy, "drawn_j"),
-    (Quantity::Time, "metered_s unmetered_s"),
-    (Quantity::Power, "mean_power_w"),
-    (Quantity::Share, "soc soc_lo soc_hi"),
-    (Quantity::Plain, "charging"),
-    (Quantity::Energy, "usable_j usable_lo_j"),
-    (Quantity::Time, "time_to_empty_s time_to_empty_lo_s time_to_empty_hi_s"),
-    (Quantity::Energy, "capacity_j capacity_sd_j"),
-    (Quantity::Time, "time_to_80_s time_to_full_s"),
-    (
-        Quantity::Energy,
-        "energy_1s_j energy_1s_lo_j energy_1s_hi_j energy_10s_j energy_10s_lo_j \
-         energy_10s_hi_j energy_60s_j energy_60s_lo_j energy_60s_hi_j energy_300s_j \
-         energy_300s_lo_j energy_300s_hi_j",
-    ),
+/// All values of a robot.
+const VALUES: &str = "robot name quality quality_detail stamp_unix_ns target_unix_ns reading_w \
+    reading_age_s power_w lo_w hi_w residual_w bias_w level alarms drawn_j metered_s unmetered_s \
+    mean_power_w soc soc_lo soc_hi charging usable_j usable_lo_j time_to_empty_s \
+    time_to_empty_lo_s time_to_empty_hi_s capacity_j capacity_sd_j time_to_80_s time_to_full_s \
+    energy_1s_j energy_1s_lo_j energy_1s_hi_j energy_10s_j energy_10s_lo_j energy_10s_hi_j \
+    energy_60s_j energy_60s_lo_j energy_60s_hi_j energy_300s_j energy_300s_lo_j energy_300s_hi_j";
+/// Those that are no number with a unit.
+const WITHOUT_UNIT: [&str; 8] = [
+    "robot", "name", "quality", "quality_detail", "stamp_unix_ns", "target_unix_ns", "level",
+    "alarms",
 ];
 
 /// True if the value `name` is of an outlook, which the worker computes only for readers.
@@ -88,76 +75,32 @@ pub(crate) fn is_of_outlook(name: &str) -> bool {
     name.starts_with("energy_")
 }
 
-/// The quantity of the value `name`. `None` if there is no such value.
-pub(crate) fn quantity(name: &str) -> Option<Quantity> {
-    let is_of = |names: &str| names.split(' ').any(|value| value == name);
-    VALUES.into_iter().find(|(_, names)| is_of(names)).map(|(quantity, _)| quantity)
-}
-
 pub(crate) fn value_names() -> impl Iterator<Item = &'static str> {
-    VALUES.into_iter().flat_map(|(_, names)| names.split(' '))
+    VALUES.split_ascii_whitespace()
 }
 
-#[derive(Debug, Clone, PartialEq)]
-pub(crate) struct OutgoingValue {
-    pub(crate) value: String,
-    pub(crate) path: Vec<String>,
-    pub(crate) unit: Unit,
-    pub(crate) negate: bool,
+/// Checks that there is such a value, and that it is a number.
+pub(crate) fn check_number(name: &str) -> Result<(), String> {
+    if WITHOUT_UNIT.contains(&name) {
+        return Err("is no number".to_owned());
+    }
+    let is_value = value_names().any(|value| value == name);
+    let all = || value_names().collect::<Vec<_>>().join(", ");
+    is_value.then_some(()).ok_or_else(|| format!("is no value, allowed are {}", all()))
 }
 
-impl OutgoingValue {
-    pub(crate) fn plain(value: &str) -> Self {
-        Self {
-            value: value.to_owned(),
-            path: vec![value.to_owned()],
-            unit: quantity(value).unwrap_or(Quantity::Plain).si(),
-            negate: false,
-        }
-    }
-
-    fn of(&self, values: &Object) -> Value {
-        let value = values.get(&self.value).unwrap_or(&Value::Null);
-        let is_plain = self.unit.size == 1.0 && !self.negate;
-        match self.number(values) {
-            Some(number) if !is_plain && value.is_number() => json!(number),
-            _ => value.clone(),
-        }
-    }
-
-    /// The value in its unit and with its sign. A boolean is 1 or 0. `None` if it is unknown or no
-    /// number.
-    pub(crate) fn number(&self, values: &Object) -> Option<f64> {
-        let number = match values.get(&self.value)? {
-            Value::Bool(is_true) => f64::from(u8::from(*is_true)),
-            value => value.as_f64()? / self.unit.size,
-        };
-        Some(if self.negate { -number } else { number })
+/// A value as a number. A boolean is 1 or 0. NaN if it is unknown.
+pub(crate) fn number(name: &str, values: &Object) -> f64 {
+    match values.get(name) {
+        Some(Value::Bool(is_true)) => f64::from(u8::from(*is_true)),
+        value => value.and_then(Value::as_f64).unwrap_or(f64::NAN),
     }
 }
 
-/// The document with these values. Unknown ones are null.
-pub(crate) fn document(fields: &[OutgoingValue], values: &Object) -> Value {
-    let mut document = Object::new();
-    for field in fields {
-        insert(&mut document, &field.path, field.of(values));
-    }
-    Value::Object(document)
-}
-
-fn insert(object: &mut Object, path: &[String], value: Value) {
-    match path {
-        [] => {}
-        [name] => {
-            object.insert(name.clone(), value);
-        }
-        [name, rest @ ..] => {
-            let inner = object.entry(name.clone()).or_insert_with(|| json!({}));
-            if let Value::Object(inner) = inner {
-                insert(inner, rest, value);
-            }
-        }
-    }
+/// The document of a topic. Unknown values are null.
+pub(crate) fn document(what: What, values: &Object) -> Value {
+    let of = |name: &str| (name.to_owned(), values.get(name).cloned().unwrap_or(Value::Null));
+    Value::Object(what.usual().map(of).collect())
 }
 
 /// All values of a robot. `unix_ns` converts this host's monotonic time to Unix time.
@@ -245,14 +188,14 @@ mod tests {
     }
 
     #[test]
-    fn every_value_that_a_mapping_may_name_exists_and_usual_ones_are_among_them() {
+    fn every_value_exists_and_those_of_documents_are_among_them() {
         let values = values((7, "r7"), &newest(), Some(&outlook()), |at_ns| at_ns + 1_000);
         for name in value_names() {
             assert!(values.contains_key(name), "{name}");
         }
         for what in [What::Forecast, What::Budget, What::Outlook, What::Alarms] {
             for name in what.usual() {
-                assert!(quantity(name).is_some(), "{name}");
+                assert!(value_names().any(|value| value == name), "{name}");
             }
         }
         assert_eq!(
@@ -272,27 +215,22 @@ mod tests {
     }
 
     #[test]
-    fn a_mapping_sets_names_units_and_signs() {
+    fn a_document_has_all_values_of_its_kind_and_unknown_ones_are_null() {
         let values = values((7, "r7"), &newest(), None, |at_ns| at_ns);
-        let field = |value: &str, path: &[&str], unit: &str, negate| OutgoingValue {
-            value: value.to_owned(),
-            path: path.iter().map(|part| (*part).to_owned()).collect(),
-            unit: quantity(value).unwrap().unit(unit).unwrap(),
-            negate,
-        };
-        let fields = [
-            field("power_w", &["next", "mw"], "mW", false),
-            field("reading_w", &["next", "drawn"], "W", true),
-            field("soc", &["charge"], "%", false),
-            field("drawn_j", &["wh"], "Wh", false),
-            field("lo_w", &["lo"], "W", true),
-            OutgoingValue::plain("name"),
-        ];
-        assert_eq!(
-            document(&fields, &values),
-            json!({
-                "next": {"mw": 4_750.0, "drawn": -4.5}, "charge": 50.0, "wh": 2.0, "lo": null, "name": "r7",
-            })
-        );
+        let document = document(What::Budget, &values);
+        assert_eq!((&document["drawn_j"], &document["soc"]), (&json!(7_200.0), &json!(0.5)));
+        assert_eq!((&document["name"], &document["capacity_j"]), (&json!("r7"), &Value::Null));
+        assert_eq!(document.as_object().unwrap().len(), What::Budget.usual().count());
+    }
+
+    #[test]
+    fn a_single_value_is_a_number_and_nan_if_it_is_unknown() {
+        let values = values((7, "r7"), &newest(), None, |at_ns| at_ns);
+        assert_eq!((number("power_w", &values), number("charging", &values)), (4.75, 0.0));
+        assert!(number("lo_w", &values).is_nan() && number("energy_1s_j", &values).is_nan());
+        for (name, expected) in [("watt", "power_w"), ("name", "is no number")] {
+            assert!(check_number(name).unwrap_err().contains(expected), "{name}");
+        }
+        assert_eq!(check_number("charging"), Ok(()));
     }
 }

@@ -10,10 +10,6 @@ pub(crate) enum Quantity {
     Share,
     Speed,
     TurnRate,
-    Energy,
-    Time,
-    /// A number without unit, a text or a list.
-    Plain,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -46,9 +42,6 @@ impl Quantity {
             Self::Share => "a share",
             Self::Speed => "a speed",
             Self::TurnRate => "a turn rate",
-            Self::Energy => "an energy",
-            Self::Time => "a time",
-            Self::Plain => "a value without unit",
         }
     }
 
@@ -61,9 +54,6 @@ impl Quantity {
             Self::Share => &[("share", 1.0), ("%", 0.01)],
             Self::Speed => &[("m/s", 1.0), ("mm/s", 1e-3), ("cm/s", 1e-2), ("km/h", 1.0 / 3.6)],
             Self::TurnRate => &[("rad/s", 1.0), ("deg/s", PI / 180.0)],
-            Self::Energy => &[("J", 1.0), ("kJ", 1e3), ("Wh", 3.6e3), ("kWh", 3.6e6)],
-            Self::Time => &[("s", 1.0), ("ms", 1e-3), ("min", 60.0), ("h", 3.6e3)],
-            Self::Plain => &[("", 1.0)],
         }
     }
 
@@ -93,7 +83,6 @@ mod tests {
             (Quantity::Power, "mW", 1e-3),
             (Quantity::Share, "%", 0.01),
             (Quantity::TurnRate, "deg/s", PI / 180.0),
-            (Quantity::Energy, "Wh", 3_600.0),
             (Quantity::Speed, "km/h", 1.0 / 3.6),
         ] {
             assert_eq!(quantity.unit(name).unwrap().size, size, "{name}");
@@ -102,7 +91,6 @@ mod tests {
             (Quantity::Power, "mA"),
             (Quantity::Power, "MW"),
             (Quantity::Share, "m"),
-            (Quantity::Plain, "W"),
         ] {
             let refused = quantity.unit(name).unwrap_err().to_string();
             assert!(refused.contains("allowed are"), "{refused}");

@@ -241,7 +241,7 @@ impl Write {
 
 impl Topic {
     fn publish(&mut self, robot: u32, name: &str, values: &Object, outlet: &Outlet) {
-        let document = document(&self.write.fields, values);
+        let document = document(self.write.what, values);
         let only_changes = self.write.what == What::Alarms;
         if only_changes && self.published.get(&robot) == Some(&document) {
             return;
@@ -308,7 +308,6 @@ mod tests {
             topic: Template::parse(topic, "lab", what.is_of_robot()).unwrap(),
             every_ns: 1,
             retain: false,
-            fields: Vec::new(),
         }
     }
 

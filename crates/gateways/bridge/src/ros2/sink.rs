@@ -117,7 +117,7 @@ impl RosSink {
             let message = match (topic.write.what, &topic.write.value) {
                 (RosWhat::Outlook, _) => encode(&outlook_message(name, &values)),
                 (RosWhat::Budget, _) => encode(&budget(name, &values, voltage_v)),
-                (RosWhat::Value, Some(field)) => encode(&value(field, &values)),
+                (RosWhat::Value, Some(name)) => encode(&value(name, &values)),
                 _ => encode(&forecast(name, &values, voltage_v)),
             };
             self.counts.write(writer, message);

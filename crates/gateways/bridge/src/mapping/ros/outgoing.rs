@@ -11,7 +11,7 @@ use joulebus_ros_messages::{
 };
 use serde_json::Value;
 
-use crate::mapping::outgoing::{Object, OutgoingValue, is_of_outlook, value_names};
+use crate::mapping::outgoing::{Object, is_of_outlook, number, value_names};
 use crate::mapping::ros::incoming::{CHARGING, DISCHARGING};
 use crate::mapping::simulated::ClockState;
 
@@ -115,9 +115,8 @@ pub(crate) fn outlook(name: &str, values: &Object) -> Outlook {
 }
 
 /// One value of a robot. NaN if it is not known.
-pub(crate) fn value(field: &OutgoingValue, values: &Object) -> Float64 {
-    let data = field.number(values).unwrap_or(f64::NAN);
-    Float64 { data }
+pub(crate) fn value(name: &str, values: &Object) -> Float64 {
+    Float64 { data: number(name, values) }
 }
 
 pub(crate) fn robot_status(name: &str, values: &Object) -> DiagnosticStatus {
@@ -318,14 +317,6 @@ mod tests {
         assert_eq!((message.capacity_j, message.capacity_sd_j), (172_800.0, 3_600.0));
         assert!(message.time_to_full_s == 5_400.0 && message.time_to_80_s.is_nan());
         assert_eq!((message.usable_j, message.header.frame_id.as_str()), (86_400.0, "r1"));
-    }
-
-    #[test]
-    fn values_have_units_and_unknown_ones_are_nan() {
-        let field = OutgoingValue { negate: true, ..OutgoingValue::plain("power_w") };
-        assert_eq!(value(&field, &values()).data, -48.0);
-        assert!(value(&field, &Object::new()).data.is_nan());
-        assert_eq!(value(&OutgoingValue::plain("charging"), &values()).data, 0.0);
     }
 
     #[test]

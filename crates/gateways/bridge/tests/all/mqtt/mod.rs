@@ -44,7 +44,6 @@ fn file(broker: &Broker) -> String {
         what = "budget"
         topic = "jb/{{fleet}}/{{robot}}/budget"
         every_s = 0.5
-        fields = {{ "/left/percent" = {{ value = "soc", unit = "%" }}, drawn_wh = {{ value = "drawn_j", unit = "Wh" }} }}
         [[mqtt.write]]
         what = "alarms"
         topic = "jb/{{fleet}}/{{robot}}/alarms"
@@ -122,8 +121,7 @@ fn readings_as_json_are_forecast_and_forecasts_budgets_and_alarms_are_published(
         assert_eq!(document["name"], format!("r{robot}"));
     }
     let budget = |document: &Value| {
-        let percent = document["left"]["percent"].as_f64();
-        percent.is_some_and(|percent| percent < 99.0) && document["drawn_wh"].is_number()
+        document["soc"].as_f64().is_some_and(|soc| soc < 0.99) && document["drawn_j"].is_number()
     };
     listener.wait_for("jb/lab/r2/budget", budget);
     listener.wait_for("jb/lab/r3/budget", |_| true);

@@ -193,7 +193,7 @@ fn damaged_rtps_stops_neither_the_bridge_nor_the_robots_that_it_reads() {
     let mut peer = Peer::start(&python, &domain);
     peer.subscribe("/r1/joulebus/reading_w", "Float64");
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    let is_read = |document: &serde_json::Value| is_near(&document["data"], 4_400.0);
+    let is_read = |document: &serde_json::Value| is_near(&document["data"], 4.4);
     peer.wait_for("/r1/joulebus/reading_w", 0, is_read);
 
     let mut stranger = Stranger::listen(&domain);

@@ -34,7 +34,7 @@ fn file_with(keys: &str, reads: &[(&str, &str)], writes: &[&str]) -> String {
 
 const BATTERY: (&str, &str) = ("battery_state", "sensor_msgs/msg/BatteryState");
 const COMMANDS: (&str, &str) = ("cmd_vel", "geometry_msgs/msg/Twist");
-const READING_MW: &str = "what = \"value\"\nvalue = \"reading_w\"\nunit = \"mW\"";
+const READING: &str = "what = \"value\"\nvalue = \"reading_w\"";
 const POWER_W: &str = "what = \"value\"\nvalue = \"power_w\"";
 const FORECAST: &str = "what = \"forecast\"";
 const BUDGET: &str = "what = \"budget\"";
@@ -47,7 +47,7 @@ fn keys(domain: &RosDomain) -> String {
 
 /// A bridge's file with all kinds of topics.
 fn file(domain: &RosDomain) -> String {
-    let writes = [FORECAST, BUDGET, READING_MW, POWER_W, DIAGNOSTICS];
+    let writes = [FORECAST, BUDGET, READING, POWER_W, DIAGNOSTICS];
     file_with(&keys(domain), &[BATTERY, COMMANDS], &writes)
 }
 
@@ -120,7 +120,7 @@ fn battery_states_and_twists_are_forecast_and_forecasts_budgets_and_diagnostics_
     peer.publish("/fleet/r1/cmd_vel", "Twist", &twist());
     peer.publish("/fleet/stranger/battery_state", "BatteryState", &discharging());
 
-    peer.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4_400.0));
+    peer.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4.4));
     let power = peer.wait_for("/r1/joulebus/power_w", 0, |document| document["data"].is_number());
     let power_w = power["data"].as_f64().unwrap();
     assert!((0.0..20.0).contains(&power_w), "{power}");
@@ -181,7 +181,7 @@ fn odometry_and_stamped_twists_are_read_from_publishers_of_either_reliability() 
         ("cmd_vel", "geometry_msgs/msg/TwistStamped"),
         ("battery", &battery),
     ];
-    let file = file_with(&keys(&domain), &reads, &[&READING_MW.replace("mW", "W"), DIAGNOSTICS]);
+    let file = file_with(&keys(&domain), &reads, &[READING, DIAGNOSTICS]);
     let mut bridge = fleet.bridge(&file, "in ROS domain");
     let mut peer = Peer::start(&python, &domain);
     peer.subscribe("/r1/joulebus/reading_w", "Float64");
@@ -249,7 +249,7 @@ fn hostile_messages_are_counted_by_reason_and_disturb_no_other_robot() {
         let _ = socket.send_to(&bytes, ("127.0.0.1", port));
     }
     let from = peer.received();
-    peer.wait_for("/r1/joulebus/reading_w", from, |document| is_near(&document["data"], 4_400.0));
+    peer.wait_for("/r1/joulebus/reading_w", from, |document| is_near(&document["data"], 4.4));
     let ended = bridge.end();
     assert_eq!(ended.exit_code(), 3, "{ended:?}");
     worker.stop();
@@ -266,7 +266,7 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     listener.subscribe("/diagnostics", "DiagnosticArray");
     let mut talker = Peer::start(&python, &domain);
     talker.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    let is_read = |document: &Value| is_near(&document["data"], 4_400.0);
+    let is_read = |document: &Value| is_near(&document["data"], 4.4);
     listener.wait_for("/r1/joulebus/reading_w", 0, is_read);
     // The robot has no commands, on which the other tests' forecasts depend.
     listener.wait_for("/diagnostics", 0, |document| {
@@ -323,9 +323,9 @@ fn a_robot_on_its_charger_charges_and_its_batterys_power_is_no_load() {
     let mut readings = Vec::new();
     peer.wait_for("/r1/joulebus/reading_w", 0, |document| {
         readings.push(document["data"].clone());
-        is_near(&document["data"], 4_400.0)
+        is_near(&document["data"], 4.4)
     });
-    let is_load = |reading: &Value| reading.is_null() || is_near(reading, 4_400.0);
+    let is_load = |reading: &Value| reading.is_null() || is_near(reading, 4.4);
     assert!(readings.iter().all(is_load), "{readings:?}");
     bridge.stop();
     worker.stop();
@@ -389,7 +389,7 @@ fn a_reader_that_stops_reading_does_not_hold_up_the_others() {
     let mut peer = Peer::start(&python, &domain);
     peer.subscribe("/r1/joulebus/reading_w", "Float64");
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    let is_read = |document: &Value| is_near(&document["data"], 4_400.0);
+    let is_read = |document: &Value| is_near(&document["data"], 4.4);
     stopped.wait_for("/r1/joulebus/reading_w", 0, is_read);
     stopped.signal(Signal::STOP);
     // Longer than its lease, at ten messages a second.

@@ -8,7 +8,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::json;
 
 use super::{
-    BATTERY, DIAGNOSTICS, FORECAST, READING_MW, discharging, file_with, is_near, lines_of, status,
+    BATTERY, DIAGNOSTICS, FORECAST, READING, discharging, file_with, is_near, lines_of, status,
     twist,
 };
 use crate::fleet::Fleet;
@@ -17,7 +17,7 @@ use crate::ros2::peer::{Peer, cyclonedds, hash};
 /// A bridge's file with topics over zenoh.
 pub(super) fn file() -> String {
     let odometry = ("odom", "nav_msgs/msg/Odometry");
-    let writes = [FORECAST, READING_MW, DIAGNOSTICS];
+    let writes = [FORECAST, READING, DIAGNOSTICS];
     file_with("domain_id = 7", &[BATTERY, odometry], &writes)
 }
 
@@ -68,7 +68,7 @@ fn robots_on_rmw_zenoh_are_forecast_and_the_bridge_is_a_node_of_their_graph() {
     peer.publish("/fleet/r3/battery_state", "Truncated", &json!({}));
 
     let reading = "/r1/joulebus/reading_w";
-    let first = peer.wait_for(reading, 0, |reading| is_near(&reading["data"], 4_400.0));
+    let first = peer.wait_for(reading, 0, |reading| is_near(&reading["data"], 4.4));
     let later = peer.wait_for(reading, peer.received(), |reading| reading["data"].is_number());
     let (first, later) = (&first["attached"], &later["attached"]);
     assert!(later["number"].as_i64() > first["number"].as_i64(), "{first} {later}");
@@ -115,7 +115,7 @@ fn robots_may_start_after_a_bridge_over_zenoh_which_ends_with_the_program_that_h
     let reading = "/r1/joulebus/reading_w";
     peer.subscribe(reading, "Float64");
     peer.publish("/fleet/r1/battery_state", "BatteryState", &discharging());
-    peer.wait_for(reading, 0, |reading| is_near(&reading["data"], 4_400.0));
+    peer.wait_for(reading, 0, |reading| is_near(&reading["data"], 4.4));
     let tasks = fs::read_dir(format!("/proc/{}/task", bridge.pid())).unwrap();
     let children = tasks.map(|task| fs::read_to_string(task.unwrap().path().join("children")));
     let children: String = children.map(Result::unwrap).collect();
