@@ -1,6 +1,6 @@
 //! `joulebus serve`.
 
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use clap::ArgGroup;
@@ -40,10 +40,6 @@ pub(crate) struct ServeArguments {
     /// repeated)
     #[arg(long, value_name = "NAME", requires = "http")]
     pub(crate) allow_host: Vec<String>,
-    /// With --http: the address of a reverse proxy whose `X-Forwarded-For` says who asks (may be
-    /// repeated). Without it all its clients share one allowance of requests
-    #[arg(long, value_name = "ADDRESS", requires = "http")]
-    pub(crate) proxy: Vec<IpAddr>,
     /// With --http or --socket: metrics of at most this many robots (0: only of the fleet)
     #[arg(long, value_name = "N", default_value_t = 100)]
     pub(crate) metrics_robots: usize,

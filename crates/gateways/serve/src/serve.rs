@@ -30,7 +30,6 @@ pub(crate) fn run(args: &ServeArguments, output: Output) -> anyhow::Result<Outco
         socket: args.socket.clone(),
         token_file: args.token_file.clone(),
         allow_host: args.allow_host.clone(),
-        proxy: args.proxy.clone(),
         metrics_robots: args.metrics_robots,
     };
     let http = HttpServer::start(&config, &options)?;

@@ -51,6 +51,12 @@ const GONE: &[(&str, &str, &str)] = &[
         "`joulebus alarms --on-alarm` runs curl for each change, and Alertmanager groups and repeats: \
          docs/how-to/webhook.md",
     ),
+    (
+        "serve",
+        "--proxy",
+        "a reverse proxy limits its clients, as the server does of those that reach it directly: \
+         docs/how-to/open-the-page.md",
+    ),
     ("eval", "--partition --merge --out", PARTS),
     ("eval", "--origins-every --confidence --block-rows", SCORES),
     ("model compare", "--origins-every --confidence --block-rows", "a comparison is at 95 %"),

@@ -1,16 +1,13 @@
-//! Access control: the token, the server's names, and rate limits.
+//! Access control: the token and the server's names.
 
-use std::collections::HashMap;
 use std::io;
 use std::net::IpAddr;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use subtle::ConstantTimeEq as _;
 
 use super::error::ApiError;
-use super::listen::Peer;
 
 /// Maximum size of the token file, bytes.
 const MAX_FILE_BYTES: u64 = 4_096;
@@ -77,8 +74,6 @@ pub(super) struct Access {
     pub(super) cookie: String,
     /// Allowed names of the server, beside addresses and localhost.
     pub(super) hosts: Vec<String>,
-    /// Reverse proxies, which are believed for whom they ask.
-    pub(super) proxies: Vec<IpAddr>,
 }
 
 /// True if a path states for supervisors whether server and worker run. Supervisors have no token,
@@ -114,31 +109,6 @@ impl Access {
         let query = uri.query()?.as_bytes();
         let (_, found) = form_urlencoded::parse(query).find(|(name, _)| name == "token")?;
         token.is(found.as_bytes()).then(|| found.into_owned())
-    }
-
-    /// The client that a request of `peer` comes from: behind a proxy that is named, the last
-    /// address in `X-Forwarded-For` that is no such proxy. Of IPv6 its network.
-    pub(super) fn client(&self, peer: Peer, headers: &HeaderMap) -> Peer {
-        self.stated_client(peer, headers).network()
-    }
-
-    fn stated_client(&self, peer: Peer, headers: &HeaderMap) -> Peer {
-        let is_proxy = |address: &IpAddr| self.proxies.contains(address);
-        let Peer::Address(address) = peer else {
-            return peer;
-        };
-        if !is_proxy(&address) {
-            return peer;
-        }
-        let stated = headers.get_all("x-forwarded-for").iter();
-        let stated = stated.flat_map(|value| value.to_str().unwrap_or("?").split(','));
-        let address = |text: &str| text.trim().parse().ok();
-        let known: Vec<Option<IpAddr>> = stated.map(address).collect();
-        // What stands before something that is no address, anyone may have written.
-        let known = known.into_iter().rev().map_while(|address| address);
-        let known = known.map(|address: IpAddr| address.to_canonical());
-        let mut clients = known.filter(|address| !is_proxy(address));
-        clients.next().map_or(peer, Peer::Address)
     }
 
     /// A web page elsewhere can make its own name mean this host, but not an address or localhost.
@@ -187,68 +157,8 @@ fn name_of(host: &str) -> &str {
     host.split_once(':').map_or(host, |(name, _)| name)
 }
 
-/// Requests per second of one address or user, and the size of a burst.
-const RATE: f64 = 200.0;
-const BURST: f64 = 1_000.0;
-/// Requests of its address's own allowance that a refused request without the right token costs.
-const COST_OF_REFUSED: f64 = 10.0;
-/// Maximum number of remembered addresses and users. Those with a full allowance are forgotten
-/// first, and then the one with most left.
-const MAX_ADDRESSES: usize = 4_096;
-
-/// The remaining allowance of each address and user.
-#[derive(Debug, Default)]
-pub(super) struct Rates {
-    /// By client, and apart for what is refused to it: guesses at the token take nothing from those
-    /// behind the same address who have it.
-    left: HashMap<(Peer, bool), (f64, Instant)>,
-}
-
-impl Rates {
-    /// Takes one request of `peer`, or one that is refused.
-    pub(super) fn take(
-        &mut self,
-        peer: Peer,
-        is_refused: bool,
-        now: Instant,
-    ) -> Result<(), ApiError> {
-        let peer = (peer, is_refused);
-        let cost = if is_refused { COST_OF_REFUSED } else { 1.0 };
-        let refilled = |left: f64, since: Instant| {
-            let seconds = now.saturating_duration_since(since).as_secs_f64();
-            (left + seconds * RATE).min(BURST)
-        };
-        if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
-            self.left.retain(|_, (left, since)| refilled(*left, *since) < BURST);
-        }
-        if self.left.len() >= MAX_ADDRESSES && !self.left.contains_key(&peer) {
-            let left =
-                self.left.iter().map(|(peer, (left, since))| (refilled(*left, *since), *peer));
-            if let Some((_, peer)) = left.max_by(|a, b| a.0.total_cmp(&b.0)) {
-                self.left.remove(&peer);
-            }
-        }
-        let (left, since) = self.left.entry(peer).or_insert((BURST, now));
-        *left = refilled(*left, *since);
-        *since = now;
-        if *left < cost {
-            return Err(too_many());
-        }
-        *left -= cost;
-        Ok(())
-    }
-}
-
-fn too_many() -> ApiError {
-    let text =
-        format!("more than {RATE} requests a second from one address or user: ask less often");
-    ApiError::new(StatusCode::TOO_MANY_REQUESTS, text)
-}
-
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
-
     use axum::http::HeaderValue;
 
     use super::*;
@@ -268,7 +178,6 @@ mod tests {
             token: token.map(|token| Token(token.into())),
             cookie: cookie_name("1"),
             hosts: vec!["energy.example".to_owned()],
-            proxies: vec![[127, 0, 0, 1].into(), [10, 0, 0, 9].into()],
         }
     }
 
@@ -327,29 +236,6 @@ mod tests {
     }
 
     #[test]
-    fn a_named_proxy_is_believed_for_whom_it_asks_and_nobody_else_is() {
-        let access = access(None);
-        let at = |text: &str| Peer::Address(text.parse().expect("an address"));
-        for (peer, stated, client) in [
-            ("127.0.0.1", "10.1.1.1", "10.1.1.1"),
-            ("127.0.0.1", "1.2.3.4, 10.1.1.1", "10.1.1.1"),
-            ("127.0.0.1", "10.1.1.1, 10.0.0.9", "10.1.1.1"),
-            ("127.0.0.1", "10.1.1.1, nobody", "127.0.0.1"),
-            ("127.0.0.1", "::ffff:10.1.1.1", "10.1.1.1"),
-            ("127.0.0.1", "2001:db8:1:2:3:4:5:6", "2001:db8:1:2::"),
-            ("2001:db8:1:2:3:4:5:6", "", "2001:db8:1:2::"),
-            ("127.0.0.1", "", "127.0.0.1"),
-            ("10.1.1.2", "10.1.1.1", "10.1.1.2"),
-        ] {
-            let headers = headers(&[("x-forwarded-for", stated)]);
-            let found = access.client(at(peer), &headers);
-            assert_eq!(found, at(client), "{peer} for {stated:?}");
-        }
-        let (user, headers) = (Peer::User(7), headers(&[("x-forwarded-for", "10.1.1.1")]));
-        assert_eq!(access.client(user, &headers), user);
-    }
-
-    #[test]
     fn with_a_token_only_its_holders_are_answered() {
         let closed = access(Some("0123456789abcdef"));
         let host = ("host", "localhost");
@@ -386,38 +272,5 @@ mod tests {
             assert_eq!(closed.token_of(&uri(path)), None, "{path}");
         }
         assert_eq!(access(None).token_of(&uri("/?token=0123456789abcdef")), None);
-    }
-
-    #[test]
-    fn an_address_that_asks_too_often_waits_and_others_do_not() {
-        let (mut rates, begin) = (Rates::default(), Instant::now());
-        let one = Peer::Address([127, 0, 0, 1].into());
-        let other = Peer::Address([10, 0, 0, 1].into());
-        let taken = (0..5_000).filter(|_| rates.take(one, false, begin).is_ok()).count();
-        assert_eq!(taken, 1_000);
-        // What is refused for its token is counted apart.
-        let refused = (0..5_000).filter(|_| rates.take(other, true, begin).is_ok());
-        assert_eq!(refused.count(), 100);
-        assert!(rates.take(other, false, begin).is_ok());
-        let later = begin + Duration::from_secs(1);
-        let taken = (0..5_000).filter(|_| rates.take(one, false, later).is_ok()).count();
-        assert_eq!(taken, 200);
-        // A user of this host has an allowance apart from all addresses.
-        let taken = (0..5_000).filter(|_| rates.take(Peer::User(0), false, later).is_ok()).count();
-        assert_eq!(taken, 1_000);
-    }
-
-    #[test]
-    fn many_addresses_take_bounded_memory() {
-        let (mut rates, begin) = (Rates::default(), Instant::now());
-        for number in 0..20_000_u32 {
-            let now = begin + Duration::from_millis(number.into());
-            let peer = match number % 2 {
-                0 => Peer::Address(number.to_be_bytes().into()),
-                _ => Peer::User(number),
-            };
-            assert!(rates.take(peer, false, now).is_ok(), "{peer:?}");
-            assert!(rates.left.len() <= MAX_ADDRESSES);
-        }
     }
 }

@@ -32,8 +32,7 @@ const WRITE_TIMEOUT: Duration = Duration::from_secs(10);
 
 #[derive(Debug)]
 pub(super) struct Connection {
-    /// Whose it is: behind a proxy the client of the last request.
-    client: Mutex<Peer>,
+    client: Peer,
     /// Requests being answered, streams included.
     busy: AtomicUsize,
     is_stream: AtomicBool,
@@ -45,20 +44,12 @@ pub(super) struct Connection {
 impl Connection {
     fn new(client: Peer, is_reserved: bool) -> Self {
         let (busy, is_stream) = (AtomicUsize::new(0), AtomicBool::new(false));
-        Self { client: Mutex::new(client), busy, is_stream, close: Notify::new(), is_reserved }
+        Self { client, busy, is_stream, close: Notify::new(), is_reserved }
     }
 
     /// Waits until the connection has to close.
     pub(super) async fn closed(&self) {
         self.close.notified().await;
-    }
-
-    pub(super) fn set_client(&self, client: Peer) {
-        *self.client.lock().unwrap_or_else(PoisonError::into_inner) = client;
-    }
-
-    fn client(&self) -> Peer {
-        *self.client.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn is_idle(&self) -> bool {
@@ -100,10 +91,10 @@ fn make_room(
     }
     let mut of: HashMap<Peer, usize> = HashMap::new();
     for (_, open) in &counted {
-        *of.entry(open.client()).or_default() += 1;
+        *of.entry(open.client).or_default() += 1;
     }
     let own = of.get(&client).copied().unwrap_or(0);
-    let having = |open: &Connection| of[&open.client()];
+    let having = |open: &Connection| of[&open.client];
     let idle = counted.iter().filter(|(_, open)| open.is_idle() && having(open) >= own);
     let idle = idle.max_by_key(|(number, open)| (having(open), Reverse(*number)));
     let busy = counted.iter().filter(|(_, open)| having(open) >= own + ahead);
@@ -151,7 +142,7 @@ impl Connections {
     /// # Errors
     /// All streams are taken, and no client has more than this one would have.
     pub(super) fn begin_stream(&self, connection: &Connection) -> Result<(), ApiError> {
-        let (mut open, client) = (self.lock(), connection.client());
+        let (mut open, client) = (self.lock(), connection.client);
         if !make_room(&mut open.usual, &STREAMS, client, 2, Connection::is_stream) {
             let text = format!(
                 "{} streams are open, and no client has more than yours: close one, or ask later",
@@ -439,7 +430,7 @@ mod tests {
         let open = connections.lock();
         let of = |user| {
             let own =
-                |open: &&Arc<Connection>| open.client() == Peer::User(user) && open.is_stream();
+                |open: &&Arc<Connection>| open.client == Peer::User(user) && open.is_stream();
             open.usual.values().filter(own).count()
         };
         assert_eq!([0, 1, 2, 3].map(of), [STREAMS.all / 4; 4]);

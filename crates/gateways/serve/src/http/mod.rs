@@ -32,12 +32,12 @@ mod what_if;
 
 use std::convert::Infallible;
 use std::io;
-use std::net::{IpAddr, SocketAddr};
+use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::thread::{self, JoinHandle};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use anyhow::Context as _;
 use axum::Router;
@@ -58,7 +58,7 @@ use serde::Serialize;
 use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::sync::{Notify, watch};
 
-use access::{Access, Rates, Token, cookie_name, is_of_health};
+use access::{Access, Token, cookie_name, is_of_health};
 use api::App;
 use connections::{Busy, Connection, Marked, Slot, Watched};
 use error::ApiError;
@@ -93,7 +93,6 @@ pub(crate) struct Options {
     pub(crate) socket: Option<PathBuf>,
     pub(crate) token_file: Option<PathBuf>,
     pub(crate) allow_host: Vec<String>,
-    pub(crate) proxy: Vec<IpAddr>,
     pub(crate) metrics_robots: usize,
 }
 
@@ -106,7 +105,7 @@ pub(crate) struct HttpReport {
     pub(crate) socket: Option<PathBuf>,
     /// Requests answered, refused ones included.
     pub(crate) requests: u64,
-    /// Requests refused for their host, token or rate.
+    /// Requests refused for their host or token, or without a connection for them.
     pub(crate) refused: u64,
     /// Messages sent on streams.
     pub(crate) messages: u64,
@@ -125,7 +124,6 @@ struct Shared {
     app: Arc<App>,
     router: Router,
     access: Access,
-    rates: Mutex<Rates>,
     requests: AtomicU64,
     refused: AtomicU64,
     end: Notify,
@@ -166,9 +164,7 @@ impl HttpServer {
                 token,
                 cookie: cookie_name(config.fleet()),
                 hosts: options.allow_host.clone(),
-                proxies: options.proxy.iter().map(IpAddr::to_canonical).collect(),
             },
-            rates: Mutex::default(),
             requests: AtomicU64::new(0),
             refused: AtomicU64::new(0),
             end: Notify::new(),
@@ -333,11 +329,10 @@ async fn respond(
     let busy = Busy::new(connection);
     shared.requests.fetch_add(1, Ordering::Relaxed);
     let is_page = request.uri().path() == "/";
-    let peer = shared.access.client(peer, request.headers());
-    connection.set_client(peer);
+    let peer = peer.network();
     let checked = match connection.is_reserved && !is_of_health(request.uri()) {
         true => Err(ApiError::busy("all connections are taken: try again")),
-        false => shared.check(&request, peer),
+        false => shared.admit(&request, peer),
     };
     let closes = connection.is_reserved;
     let mut response = match checked {
@@ -378,16 +373,6 @@ async fn respond(
 impl Shared {
     /// Checks a request before it is handled. A token in the URL is answered with a cookie and a
     /// redirect to the page.
-    fn check(&self, request: &Request<Incoming>, peer: Peer) -> Result<Option<Response>, ApiError> {
-        let checked = self.admit(request, peer);
-        if is_of_health(request.uri()) {
-            return checked;
-        }
-        let mut rates = self.rates.lock().unwrap_or_else(PoisonError::into_inner);
-        rates.take(peer, checked.is_err(), Instant::now())?;
-        checked
-    }
-
     fn admit(&self, request: &Request<Incoming>, peer: Peer) -> Result<Option<Response>, ApiError> {
         let (uri, headers) = (request.uri(), request.headers());
         // The socket's directory, group and mode replace the token.

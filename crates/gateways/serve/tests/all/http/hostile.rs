@@ -280,7 +280,7 @@ fn one_address_takes_all_it_can_of_every_limit_and_another_is_served() {
             200,
         ),
         (
-            "requests a second",
+            "requests",
             |address, from| {
                 let asks = "GET /api/v1/fleet HTTP/1.1\r\nHost: HOST\r\n\r\n";
                 ask_and_wait(address, from, 20, &asks.repeat(200))
