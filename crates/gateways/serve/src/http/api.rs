@@ -34,7 +34,7 @@ use super::page;
 use super::plan_rows::RowsError;
 use super::questions::{Questions, report};
 use super::reader::Ask;
-use super::shares::{AllShares, Reply};
+use super::shares::{AllShares, Reply, Turn};
 use super::snapshot::Snapshot;
 use super::stream::Client;
 use super::view::View;
@@ -190,7 +190,8 @@ async fn acknowledge(
     request: Request,
 ) -> Answer {
     let asked: Acknowledge = body(&app, peer, request).await?;
-    pass_on(&app, peer, move |config| asked.ask(config)).await
+    let turn = app.shares.statements.enter(peer).await?;
+    beside(&app, turn, move |config| asked.ask(config)).await
 }
 
 async fn battery(
@@ -199,7 +200,8 @@ async fn battery(
     request: Request,
 ) -> Answer {
     let asked: StateBattery = body(&app, peer, request).await?;
-    pass_on(&app, peer, move |config| asked.ask(config)).await
+    let turn = app.shares.statements.enter(peer).await?;
+    beside(&app, turn, move |config| asked.ask(config)).await
 }
 
 async fn capacity(
@@ -212,16 +214,16 @@ async fn capacity(
     if !is_named {
         return Err(no_robot(robot));
     }
-    pass_on(&app, peer, move |config| Ok(CapacityRecord::read(config, robot))).await
+    let turn = app.shares.capacities.enter(peer).await?;
+    beside(&app, turn, move |config| Ok(CapacityRecord::read(config, robot))).await
 }
 
-/// Has the worker take a statement of a person, or reads what it saves.
-async fn pass_on<T: Serialize + Send + 'static>(
+/// Has the worker take a statement of a person, or reads what it saves, in a thread of its own.
+async fn beside<T: Serialize + Send + 'static>(
     app: &App,
-    peer: Peer,
+    turn: Turn,
     ask: impl FnOnce(&Config) -> Result<T, ApiError> + Send + 'static,
 ) -> Answer {
-    let turn = app.shares.statements.enter(peer).await?;
     let config = app.config.clone();
     // Ports of the fleet belong to one thread.
     let asked = tokio::task::spawn_blocking(move || {

@@ -174,8 +174,8 @@ impl HttpServer {
         let runtime = tokio::runtime::Builder::new_current_thread()
             .enable_all()
             .thread_name("joulebus-compute")
-            // A question about a plan, a statement of a person, and meanwhile the recorders.
-            .max_blocking_threads(3)
+            // A question about a plan, a statement of a person, a capacity, and meanwhile the recorders.
+            .max_blocking_threads(4)
             .build()
             .context("cannot start the server's runtime")?;
         let web = thread::Builder::new().name("joulebus-http".to_owned()).spawn(move || {

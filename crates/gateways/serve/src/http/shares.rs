@@ -31,8 +31,11 @@ pub(super) const RESERVED: Limit = limit("reserved connections", 16);
 pub(super) const STREAMS: Limit = limit("streams", 128);
 /// Questions about plans that wait, with the one that is computed.
 const QUESTIONS: Limit = limit("questions about plans", 16);
-/// Statements of persons and readings of the ledger that wait, with the one that is done.
-const STATEMENTS: Limit = limit("statements of persons, and capacities", 16);
+/// Statements of persons that wait, with the one that is done.
+const STATEMENTS: Limit = limit("statements of persons", 16);
+/// Readings of the ledger that wait, with the one that is done. A whole ledger takes time, and no
+/// statement waits for it.
+const CAPACITIES: Limit = limit("capacities", 16);
 /// Requests that wait for the thread that reads the fleet.
 pub(super) const READINGS: Limit = limit("requests for values of the fleet", 64);
 /// Bodies of requests on their way here.
@@ -45,6 +48,7 @@ const UNSENT: Limit = limit("bytes of answers", 64 << 20);
 pub(super) struct AllShares {
     pub(super) questions: Queue,
     pub(super) statements: Queue,
+    pub(super) capacities: Queue,
     pub(super) readings: Arc<Shares>,
     pub(super) received: Arc<Shares>,
     pub(super) unsent: Arc<Shares>,
@@ -55,6 +59,7 @@ impl Default for AllShares {
         Self {
             questions: Queue::new(&QUESTIONS),
             statements: Queue::new(&STATEMENTS),
+            capacities: Queue::new(&CAPACITIES),
             readings: Shares::new(&READINGS),
             received: Shares::new(&RECEIVED),
             unsent: Shares::new(&UNSENT),
@@ -193,7 +198,7 @@ mod tests {
 
     #[test]
     fn of_every_limit_something_is_left_for_the_next_client_and_all_is_given_back() {
-        for limit in [&QUESTIONS, &STATEMENTS, &READINGS, &RECEIVED, &UNSENT] {
+        for limit in [&QUESTIONS, &STATEMENTS, &CAPACITIES, &READINGS, &RECEIVED, &UNSENT] {
             let (shares, what) = (Shares::new(limit), limit.what);
             let part = limit.all.div_ceil(64);
             let all_of = |peer| -> Vec<Share> {

@@ -206,7 +206,7 @@ fn one_address_takes_all_it_can_of_every_limit_and_another_is_served() {
     let _source = fleet.joulebus("publish sim --robots 20");
     let (_server, address) = fleet.serve(&[]);
     eventually("robots", || get_json(&address, "/api/v1/fleet")["totals"]["robots"] == 20);
-    let limits: [(&str, Take, String, u16); 9] = [
+    let limits: [(&str, Take, String, u16); 10] = [
         (
             "idle connections",
             |address, from| ask_and_wait(address, from, 400, "GET / HTTP/1.1\r\nHost: loc"),
@@ -248,6 +248,15 @@ fn one_address_takes_all_it_can_of_every_limit_and_another_is_served() {
             |address, from| {
                 let statement = post_of("/api/v1/alarms/acknowledge", STATEMENT);
                 ask_and_wait(address, from, 40, &statement)
+            },
+            post_of("/api/v1/alarms/acknowledge", STATEMENT),
+            409,
+        ),
+        (
+            "capacities",
+            |address, from| {
+                let capacity = "GET /api/v1/robots/1/capacity HTTP/1.1\r\nHost: HOST\r\n\r\n";
+                ask_and_wait(address, from, 40, &capacity.repeat(20))
             },
             post_of("/api/v1/alarms/acknowledge", STATEMENT),
             409,
