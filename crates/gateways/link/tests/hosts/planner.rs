@@ -1,7 +1,7 @@
 //! A planner in a process of its own, as on a separate host. It reports to the test what it reads.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use joulebus_bus::clock;
 use joulebus_consumer::{Event, Subscriber};
@@ -139,6 +139,21 @@ impl Reader {
             let frame = self.frame();
             if frame.rows.iter().any(|row| row.stamp_ns > now_ns) {
                 return frame;
+            }
+        }
+    }
+
+    /// Whether a frame with a sample that was taken after this call comes within that time.
+    pub(crate) fn has_sample_within(&mut self, time: Duration) -> bool {
+        let (now_ns, until) = (clock::monotonic_ns(), Instant::now() + time);
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let frame = self.frame_within(left);
+            if frame.is_some_and(|frame| frame.rows.iter().any(|row| row.stamp_ns > now_ns)) {
+                return true;
+            }
+            if left.is_zero() {
+                return false;
             }
         }
     }
