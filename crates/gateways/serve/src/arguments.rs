@@ -15,8 +15,8 @@ use joulebus_program::config_file::ConfigFile;
     joulebus serve --http                                  http://127.0.0.1:8630\n  \
     joulebus serve --http 0.0.0.0:8630 --token-file token  for other hosts, who need the token\n  \
     joulebus serve --socket /run/joulebus-serve/lab.sock   for users of this host who may enter its folder\n\n\
-    --http: the page at /, the API at /api/v1/openapi.json, OpenMetrics at /metrics, /healthz and \
-    /readyz. An address that other hosts reach needs --token-file, a file of mode 0600 with one \
+    --http: the page at /, the API at /api/v1/openapi.json, metrics for Prometheus at /metrics, \
+    /healthz and /readyz. An address that other hosts reach needs --token-file, a file of mode 0600 with one \
     line of at least 16 characters. Browsers open /?token=TOKEN once. Programs send \
     `Authorization: Bearer TOKEN`. There is no TLS: docs/how-to/open-the-page.md shows a reverse \
     proxy.\n\n\

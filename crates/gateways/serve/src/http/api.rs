@@ -152,17 +152,7 @@ async fn ready(State(app): State<Arc<App>>) -> Answer {
     }
 }
 
-async fn metrics_text(
-    State(app): State<Arc<App>>,
-    Extension(peer): Extension<Peer>,
-    headers: HeaderMap,
-) -> Answer {
-    let accept =
-        headers.get_all(header::ACCEPT).into_iter().filter_map(|value| value.to_str().ok());
-    let Some(format) = metrics::TextFormat::accepted(accept) else {
-        let what = "neither text/plain nor application/openmetrics-text is accepted. Accept one";
-        return Err(ApiError::new(StatusCode::NOT_ACCEPTABLE, what.to_owned()));
-    };
+async fn metrics_text(State(app): State<Arc<App>>, Extension(peer): Extension<Peer>) -> Answer {
     let now_ns = clock::monotonic_ns();
     // Without series of robots nothing needs to be computed for them.
     let outlooks = match app.metrics_robots {
@@ -170,10 +160,10 @@ async fn metrics_text(
         _ => outlooks(&app, peer, None).await.unwrap_or_default(),
     };
     let limits = (app.config.fleet(), app.metrics_robots);
-    let text = metrics::text(&app.newest(), outlooks, now_ns, limits, format);
+    let text = metrics::text(&app.newest(), outlooks, now_ns, limits);
     let text =
         text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
-    Ok(typed(format.kind(), text))
+    Ok(typed(metrics::KIND, text))
 }
 
 async fn fleet(State(app): State<Arc<App>>) -> Response {

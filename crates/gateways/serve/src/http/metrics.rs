@@ -1,4 +1,4 @@
-//! A snapshot as OpenMetrics, or in Prometheus's classic text format for who does not accept it.
+//! A snapshot in Prometheus's text format, which every scraper reads.
 
 use std::fmt;
 use std::sync::Arc;
@@ -16,63 +16,10 @@ use prometheus_client::registry::{Registry, Unit};
 use super::entry::Entry;
 use super::snapshot::Snapshot;
 
-/// A format of the text.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum TextFormat {
-    /// Prometheus's text format 0.0.4, which every scraper reads.
-    Classic,
-    /// OpenMetrics 1.0.
-    OpenMetrics,
-}
+/// The type of the text.
+pub(super) const KIND: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-impl TextFormat {
-    /// The format that the `Accept` headers of a request prefer. `None`: they refuse both. Without
-    /// a weight that is greater, OpenMetrics is for who names it. Who names neither gets the
-    /// classic format.
-    pub(super) fn accepted<'a>(headers: impl IntoIterator<Item = &'a str>) -> Option<Self> {
-        let ranges: Vec<(String, f32)> =
-            headers.into_iter().flat_map(|header| header.split(',')).filter_map(range).collect();
-        let weight = |kinds: &[&str]| {
-            kinds.iter().find_map(|kind| {
-                let same = ranges.iter().filter(|(range, _)| range == kind).map(|(_, q)| *q);
-                same.reduce(f32::max)
-            })
-        };
-        let named = weight(&["application/openmetrics-text"]);
-        let open = named.or(weight(&["application/*", "*/*"]));
-        let classic = weight(&["text/plain", "text/*", "*/*"]);
-        match (open, classic) {
-            (Some(open), Some(classic)) if open <= 0.0 && classic <= 0.0 => None,
-            (Some(open), _) if named.is_some() && open > 0.0 && open >= classic.unwrap_or(0.0) => {
-                Some(Self::OpenMetrics)
-            }
-            (Some(open), Some(classic)) if open > classic => Some(Self::OpenMetrics),
-            _ => Some(Self::Classic),
-        }
-    }
-
-    pub(super) const fn kind(self) -> &'static str {
-        match self {
-            Self::Classic => "text/plain; version=0.0.4; charset=utf-8",
-            Self::OpenMetrics => "application/openmetrics-text; version=1.0.0; charset=utf-8",
-        }
-    }
-}
-
-/// A media range of an `Accept` header in lower case, and its weight. `None`: it has none that is
-/// valid, so it is ignored.
-fn range(text: &str) -> Option<(String, f32)> {
-    let mut parts = text.split(';').map(|part| part.trim().to_ascii_lowercase());
-    let kind = parts.next().filter(|kind| !kind.is_empty())?;
-    let weight = parts.find_map(|part| {
-        let (name, value) = part.split_once('=')?;
-        (name.trim() == "q").then(|| value.trim().parse::<f32>())
-    });
-    let weight = weight.unwrap_or(Ok(1.0)).ok().filter(|weight| (0.0..=1.0).contains(weight))?;
-    Some((kind, weight))
-}
-
-/// OpenMetrics in the classic format: counters and infos are typed under their samples' names, and
+/// OpenMetrics, which the encoder writes, in Prometheus's own format: counters and infos are typed under their samples' names, and
 /// an info is a gauge.
 fn classic(open: &str) -> String {
     let mut text = String::with_capacity(open.len());
@@ -110,7 +57,6 @@ pub(super) fn text(
     outlooks: Vec<Outlook>,
     now_ns: u64,
     (fleet, max_robots): (&str, usize),
-    format: TextFormat,
 ) -> Result<String, fmt::Error> {
     let mut registry =
         Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
@@ -122,10 +68,7 @@ pub(super) fn text(
     }));
     let mut text = String::new();
     prometheus_client::encoding::text::encode(&mut text, &registry)?;
-    Ok(match format {
-        TextFormat::Classic => classic(&text),
-        TextFormat::OpenMetrics => text,
-    })
+    Ok(classic(&text))
 }
 
 #[derive(Debug)]
@@ -518,8 +461,7 @@ mod tests {
         for (now_ns, up) in [(SECOND_NS, 1), (3 * SECOND_NS, 1), (3 * SECOND_NS + 1, 0)] {
             let why = snapshot.why_not_up(now_ns);
             assert_eq!(why.is_none(), up == 1, "{why:?}");
-            let text =
-                text(&snapshot, Vec::new(), now_ns, ("lab", 0), TextFormat::Classic).unwrap();
+            let text = text(&snapshot, Vec::new(), now_ns, ("lab", 0)).unwrap();
             let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
             assert!(text.contains(&line), "{now_ns}: {text}");
         }
@@ -552,8 +494,7 @@ mod tests {
         }]);
         let outlook =
             Outlook { robot: 1, flags: u32::MAX, bounded: u16::MAX, ..Outlook::default() };
-        let format = TextFormat::Classic;
-        let text = text(&snapshot(&board), vec![outlook], SECOND_NS, ("lab", 1), format).unwrap();
+        let text = text(&snapshot(&board), vec![outlook], SECOND_NS, ("lab", 1)).unwrap();
         let mut tables = [String::new(), String::new()];
         for family in text.split("# HELP ").skip(1) {
             let (name, rest) = family.split_once(' ').unwrap();
@@ -586,43 +527,5 @@ mod tests {
         let head = "| metric | type | labels | meaning |\n|---|---|---|---|\n";
         let tables = tables.map(|rows| format!("{head}{rows}"));
         assert_page_contains("docs/reference/metrics.md", &tables);
-    }
-
-    #[test]
-    fn the_format_is_the_one_that_weights_prefer() {
-        const OPEN: &str = "application/openmetrics-text";
-        let prometheus = format!(
-            "{OPEN};version=1.0.0;q=0.5,{OPEN};version=0.0.1;q=0.4,text/plain;version=0.0.4;q=0.3,*/*;q=0.2"
-        );
-        let of = |rest: &str| format!("{OPEN}{rest}");
-        let (classic, open) = (Some(TextFormat::Classic), Some(TextFormat::OpenMetrics));
-        for (accept, format) in [
-            ("", classic),
-            ("*/*", classic),
-            ("application/json", classic),
-            ("text/plain;version=0.0.4", classic),
-            (&prometheus, open),
-            (&of("; q=0"), classic),
-            (&of(";Q=0.000, */*"), classic),
-            (&of(" ; version=1.0.0 ; q=0.8, text/html"), open),
-            ("text/html, Application/OpenMetrics-Text; version=1.0.0; q=0.8", open),
-            (&of(";q=0.3, text/plain;q=0.9"), classic),
-            (&of(";q=0.9, text/plain;q=0.3"), open),
-            (&of(";q=0.3, text/*;q=0.9"), classic),
-            (&of(";q=0.3, */*"), classic),
-            (&of(";q=0.5, text/plain;q=0.5"), open),
-            (&of(";q=0.1, text/plain;q=0"), open),
-            ("text/plain;q=0, */*", open),
-            ("text/*;q=0, application/*;q=0.1", open),
-            // A weight that is none is ignored.
-            (&of(";q=high"), classic),
-            (&of(";q=2"), classic),
-            (&of(";q=0, text/plain;q=0"), None),
-            ("*/*;q=0", None),
-        ] {
-            assert_eq!(TextFormat::accepted([accept]), format, "{accept:?}");
-        }
-        assert_eq!(TextFormat::accepted([]), classic);
-        assert_eq!(TextFormat::accepted(["text/plain;q=0.1", OPEN]), open);
     }
 }
