@@ -54,7 +54,7 @@ impl Reader {
 
     /// Reads a message, and passes each robot's observation to `take`.
     pub(crate) fn read(
-        &mut self,
+        &self,
         message: Message<'_>,
         account: &mut Account,
         mut take: impl FnMut(u32, &Observation),
@@ -243,7 +243,7 @@ mod tests {
     /// Robots with their powers, and reasons with their names.
     type Read = (Vec<(u32, f32)>, Vec<(&'static str, String)>);
 
-    fn read(reader: &mut Reader, topic: &str, payload: &[u8]) -> Read {
+    fn read(reader: &Reader, topic: &str, payload: &[u8]) -> Read {
         let (mut taken, mut account) = (Vec::new(), Account::default());
         let message = Message { topic, payload, retained: false, unix_s: 0.0 };
         reader.read(message, &mut account, |robot, seen| {
@@ -262,7 +262,7 @@ mod tests {
         ] {
             let payload = payload.to_string();
             assert_eq!(
-                read(&mut reader(), topic, payload.as_bytes()),
+                read(&reader(), topic, payload.as_bytes()),
                 (vec![(robot, 3.0)], vec![])
             );
         }
@@ -291,16 +291,16 @@ mod tests {
             let [topic, payload, reason, name] = case.as_slice() else {
                 panic!("{case:?}");
             };
-            let (taken, refused) = read(&mut reader(), topic, payload.as_bytes());
+            let (taken, refused) = read(&reader(), topic, payload.as_bytes());
             assert_eq!(taken, [], "{payload}");
             let is_it = |found: &(&str, String)| found.0 == reason && found.1 == *name;
             assert!(refused.iter().any(is_it), "{payload}: {refused:?}");
         }
-        let (taken, refused) = read(&mut reader(), "fleet/r1/power", "[".repeat(900).as_bytes());
+        let (taken, refused) = read(&reader(), "fleet/r1/power", "[".repeat(900).as_bytes());
         assert_eq!((taken, refused[0].0), (vec![], "not_json"));
-        let (taken, refused) = read(&mut reader(), "fleet/r1/power", &[b' '; 1_001]);
+        let (taken, refused) = read(&reader(), "fleet/r1/power", &[b' '; 1_001]);
         assert_eq!((taken, refused[0].0), (vec![], "too_long"));
-        let (taken, refused) = read(&mut reader(), "elsewhere", b"{");
+        let (taken, refused) = read(&reader(), "elsewhere", b"{");
         assert_eq!((taken, refused), (vec![], vec![("no_route", "elsewhere".to_owned())]));
         let mut account = Account::default();
         let kept = Message {
@@ -321,7 +321,7 @@ mod tests {
             r#"{"v": [-Infinity, Infinity], "power": 3, "note": "NaN \" NaN \\"}"#,
             "\u{feff}{\"power\": 3}",
         ] {
-            let read = read(&mut reader(), "fleet/r1/power", payload.as_bytes());
+            let read = read(&reader(), "fleet/r1/power", payload.as_bytes());
             assert_eq!(read, (vec![(1, 3.0)], vec![]), "{payload}");
         }
         let kept = br#"{"note": "NaN, \"Infinity\""}"#;
@@ -340,7 +340,7 @@ mod tests {
             route("v/{robot}/state", Fields::vda5050(false)),
             route("v/{robot}/connection", Fields::vda5050_connection()),
         ];
-        let mut reader = Reader::new(routes, robots(), 1_000);
+        let reader = Reader::new(routes, robots(), 1_000);
         let made = "2026-04-07T10:30:00.5Z";
         let state = json!({"timestamp": made, "batteryState": {"batteryCharge": 80.0}});
         let says = |word: &str| json!({"timestamp": made, "connectionState": word});
@@ -377,7 +377,7 @@ mod tests {
     proptest! {
         #[test]
         fn no_message_panics(topic in "[a-z0-9/]{0,30}", payload in prop::collection::vec(any::<u8>(), 0..200)) {
-            let (mut account, mut reader) = (Account::default(), reader());
+            let (mut account, reader) = (Account::default(), reader());
             for topic in [topic.as_str(), "fleet/r1/power", "all"] {
                 let message = Message { topic, payload: &payload, retained: false, unix_s: 0.0 };
                 reader.read(message, &mut account, |_, seen| assert!(!seen.is_empty()));

@@ -312,7 +312,7 @@ mod tests {
             let trip = Trip { asked_ns, received_ns, sent_ns, now_ns };
             assert!(!offset.note(trip), "{trip:?}");
         }
-        assert_eq!((offset.used_ns(), offset.uncertainty_ns(5)), (None));
+        assert_eq!((offset.used_ns(), offset.uncertainty_ns(5)), (None, None));
     }
 
     #[test]

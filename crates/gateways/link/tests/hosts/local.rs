@@ -1,7 +1,6 @@
 //! Two hosts on one machine.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use joulebus_testkit::{Child, Ended, MemoryGroup, as_in_docker, eventually, remove};
 use serde_json::Value;

@@ -143,6 +143,23 @@ fn what_replaced_mixture_and_adapt_is_named() {
 }
 
 #[test]
+fn what_went_from_files_of_bridges_and_links_is_refused_with_what_takes_its_place() {
+    let writes = "[[mqtt.write]]\nwhat = \"budget\"\ntopic = \"b/{robot}\"\n";
+    for (kind, text, instead) in [
+        (File::Link, "[clock]\nrealtime_within_s = 0.001\n", "round trips"),
+        (File::Bridge, "[mqtt.vizier]\nevery_s = 1\n", "vizier"),
+        (File::Bridge, "[[mqtt.vda5050]]\ntopic = \"a\"\npass_on = \"b\"\n", "\"outlook\""),
+        (File::Bridge, &format!("{writes}fields = {{ x = {{ value = \"soc\" }} }}\n"), "Node-RED"),
+        (File::Bridge, "[[ros2.write]]\nwhat = \"value\"\nunit = \"%\"\n", "Node-RED"),
+        (File::Fleet, "[[webhook]]\naddress = \"http://host/\"\n", "--on-alarm"),
+    ] {
+        let file = CheckedFile::parse(text, Path::new("file.toml"), kind).unwrap();
+        let mut remedies = file.problems.iter().map(|problem| &problem.remedy);
+        assert!(remedies.any(|remedy| remedy.contains(instead)), "{text}: {:?}", file.problems);
+    }
+}
+
+#[test]
 fn typos_are_refused_with_the_nearest_key() {
     let cases = r#"
         coverage = | coverge = | interval.coverge | `interval.coverage`

@@ -74,7 +74,7 @@ impl RosWhat {
 
 /// The forecast of a robot's next reading. `voltage_v` is the measured voltage of its battery.
 pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
-    let power_w = number(values, "power_w");
+    let power_w = number("power_w", values);
     let current_a = voltage_v
         .filter(|voltage_v| *voltage_v > 0.0)
         .map_or(f64::NAN, |voltage_v| -power_w / f64::from(voltage_v));
@@ -83,9 +83,9 @@ pub(crate) fn forecast(name: &str, values: &Object, voltage_v: Option<f32>) -> B
 
 pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> BatteryState {
     let voltage = voltage_v.filter(|voltage_v| *voltage_v > 0.0).map_or(f64::NAN, f64::from);
-    let ah = |joules: &str| (number(values, joules) / 3_600.0 / voltage) as f32;
+    let ah = |joules: &str| (number(joules, values) / 3_600.0 / voltage) as f32;
     BatteryState {
-        percentage: number(values, "soc") as f32,
+        percentage: number("soc", values) as f32,
         charge: ah("usable_j"),
         capacity: ah("capacity_j"),
         ..battery(name, "stamp_unix_ns", values, voltage_v)
@@ -95,7 +95,7 @@ pub(crate) fn budget(name: &str, values: &Object, voltage_v: Option<f32>) -> Bat
 /// The energy that a robot will draw over each horizon.
 pub(crate) fn outlook(name: &str, values: &Object) -> Outlook {
     let stamp_ns = values.get("stamp_unix_ns").and_then(Value::as_u64);
-    let f32_of = |value: &str| number(values, value) as f32;
+    let f32_of = |value: &str| number(value, values) as f32;
     let energy = |end| OUTLOOK_S.map(|horizon_s| f32_of(&format!("energy_{horizon_s}s_{end}")));
     Outlook {
         header: header(stamp_ns.unwrap_or(0), name),
@@ -241,10 +241,6 @@ fn header(unix_ns: u64, frame_id: &str) -> Header {
         nanosec: (unix_ns % 1_000_000_000) as u32,
     };
     Header { stamp, frame_id: frame_id.to_owned() }
-}
-
-fn number(values: &Object, value: &str) -> f64 {
-    values.get(value).and_then(Value::as_f64).unwrap_or(f64::NAN)
 }
 
 #[cfg(test)]
