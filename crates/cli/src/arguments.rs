@@ -64,7 +64,6 @@ pub(crate) enum Command {
     Train,
     Analyze,
     Eval,
-    Calibrate,
     Report,
     Model,
     Bench,
@@ -81,7 +80,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("Captures", &["record", "replay", "info", "recover", "import"]),
     (
         "Models and data",
-        &["data", "train", "eval", "analyze", "calibrate", "report", "model", "mission"],
+        &["data", "train", "eval", "analyze", "report", "model", "mission"],
     ),
     ("This program", &["bench", "completions", "man", "help"]),
 ];

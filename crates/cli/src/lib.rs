@@ -115,7 +115,6 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Train => external::run_lab("train"),
         Command::Analyze => external::run_lab("analyze"),
         Command::Eval => external::run_lab("eval"),
-        Command::Calibrate => external::run_lab("calibrate"),
         Command::Report => external::run_lab("report"),
         Command::Model => external::run_lab("model"),
         Command::Bench => external::run("bench"),

@@ -29,10 +29,6 @@ const DOORS: [(&str, &str); 10] = [
         "model compare",
         "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0 --horizons none",
     ),
-    (
-        "calibrate",
-        "calibrate RECORDING --config FLEET --platform gternal --false-alarms 100000/hour",
-    ),
 ];
 
 /// Planted faults: the finding, and its cause.
@@ -267,10 +263,8 @@ fn notes_of(kind: &str) -> &'static [&'static str] {
 fn cell(door: &str, kind: &str, printed: &Output) -> &'static str {
     let (out, errors) = (stdout(printed), stderr(printed));
     let refused = errors.contains("implausible") && errors.contains(&format!("  {kind}: "));
-    // Too few recordings, which is asked after what is in them.
     let warns = |kind: &str| errors.contains(&format!("warning: {kind}: "));
-    let is_short = errors.contains("at least 2 are needed") || warns(kind);
-    let is_read = matches!(code(printed), 0 | 3) || door == "calibrate" && is_short;
+    let is_read = matches!(code(printed), 0 | 3);
     let warns_of_any = PLANTED.iter().any(|(kind, _)| !kind.is_empty() && warns(kind));
     match code(printed) {
         _ if kind.is_empty() && is_read && !warns_of_any && !out.contains("fault: ") => "read",

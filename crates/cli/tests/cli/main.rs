@@ -4,7 +4,6 @@
 mod alarms;
 mod ask;
 mod battery;
-mod calibrate;
 mod captures;
 mod data;
 mod demo;

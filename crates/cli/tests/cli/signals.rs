@@ -49,7 +49,7 @@ const COMPUTES: &[&str] = &[
 /// Subcommands that end by themselves, at once or after reading their files. [`crate::exits`] has
 /// their codes.
 const ENDS: &str = "ask, battery, link init, info, recover, import, data info, data check, data convert, doctor, status, \
-    config init, config check, config show, config explain, config schema, analyze, eval, calibrate, \
+    config init, config check, config show, config explain, config schema, analyze, eval, \
     model info, model import, model export, model compare, completions, man, new";
 
 /// The command of a row, with its input files created.

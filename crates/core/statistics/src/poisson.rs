@@ -10,7 +10,7 @@ pub fn upper_mean(count: u64, confidence: f64) -> f64 {
 }
 
 /// Probability of at most `count` events if `mean` are expected.
-pub fn at_most(count: u64, mean: f64) -> f64 {
+fn at_most(count: u64, mean: f64) -> f64 {
     // In logarithms, so that large means do not underflow term by term.
     let (mut log_term, mut sum) = (-mean, libm::exp(-mean));
     for number in 1..=count {
@@ -18,36 +18,6 @@ pub fn at_most(count: u64, mean: f64) -> f64 {
         sum += libm::exp(log_term);
     }
     sum.min(1.0)
-}
-
-/// Variance of counts over their mean, at least 1, for exposures of different lengths: 1 if events
-/// are independent and equally frequent everywhere, more if they come in groups or some of the
-/// exposed have more than others. 1 without events, and for fewer than two counts.
-pub fn dispersion(counts: &[u64], exposures: &[f64]) -> f64 {
-    let total = counts.iter().sum::<u64>() as f64;
-    let exposed: f64 = exposures.iter().sum();
-    let number = counts.len() as f64;
-    if counts.len() < 2 || total == 0.0 || exposed.is_nan() || exposed <= 0.0 {
-        return 1.0;
-    }
-    let squares = counts.iter().zip(exposures).map(|(count, exposure)| {
-        let off = *count as f64 - total * exposure / exposed;
-        off * off
-    });
-    (squares.sum::<f64>() / total * number / (number - 1.0)).max(1.0)
-}
-
-/// Upper bound of a rate from the counts of several exposures. Where they scatter more than
-/// independent events do, as many fewer independent ones are taken to have been seen, each worth
-/// as many more. Infinite without exposure.
-pub fn upper_rate(counts: &[u64], exposures: &[f64], confidence: f64) -> f64 {
-    let exposed: f64 = exposures.iter().sum();
-    if exposed.is_nan() || exposed <= 0.0 {
-        return f64::INFINITY;
-    }
-    let each = dispersion(counts, exposures);
-    let independent = libm::ceil(counts.iter().sum::<u64>() as f64 / each) as u64;
-    each * upper_mean(independent, confidence) / exposed
 }
 
 /// Upper bound of the probability to continue after each step. `steps` is the total number of steps
@@ -91,7 +61,6 @@ fn bisect(mut low: f64, mut high: f64, holds: impl Fn(f64) -> bool) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::noise::Noise;
 
     #[test]
     fn the_bounds_are_those_of_the_tables() {
@@ -118,53 +87,5 @@ mod tests {
             let bound = upper_decay(found, others, 0.975);
             assert!((bound - expected).abs() < 1e-3, "{found} and {others}: {bound}");
         }
-        assert_eq!(upper_rate(&[], &[], 0.95), f64::INFINITY);
-    }
-
-    /// Alarms of `units` robots in 0.5 to 1.5 h each: `rate` draws a robot's rate, each event is
-    /// `group`.
-    fn draw(
-        noise: &mut Noise,
-        units: usize,
-        rate: fn(&mut Noise) -> f64,
-        group: u64,
-    ) -> (Vec<u64>, Vec<f64>) {
-        let one = |noise: &mut Noise| {
-            let (hours, rate) = (noise.between(0.5, 1.5), rate(noise));
-            let (mut count, mut at_h) = (0, noise.waiting_s(1.0 / rate));
-            while at_h < hours {
-                count += group;
-                at_h += noise.waiting_s(1.0 / rate);
-            }
-            (count, hours)
-        };
-        (0..units).map(|_| one(noise)).unzip()
-    }
-
-    /// Share of 4,000 draws in which the bound is at least the true rate, and in which the bound
-    /// for independent events would be.
-    fn covered(units: usize, rate: fn(&mut Noise) -> f64, group: u64, mean: f64) -> (f64, f64) {
-        let mut noise = Noise::new(11, 0);
-        let (mut bounds, mut plain) = (0.0, 0.0);
-        for _ in 0..4_000 {
-            let (counts, hours) = draw(&mut noise, units, rate, group);
-            let total: f64 = hours.iter().sum();
-            let is_above = |bound: f64| f64::from(u8::from(bound >= mean));
-            bounds += is_above(upper_rate(&counts, &hours, 0.95)) / 4_000.0;
-            plain += is_above(upper_mean(counts.iter().sum(), 0.95) / total) / 4_000.0;
-        }
-        (bounds, plain)
-    }
-
-    #[test]
-    fn the_stated_bound_holds_in_at_least_its_share_of_draws() {
-        let (bound, _) = covered(30, |_| 0.3, 1, 0.3);
-        assert!(bound >= 0.95, "{bound}");
-        // Robots that differ (rates exponentially distributed), and alarms that come in threes: a
-        // bound for independent events does not hold.
-        let (bound, plain) = covered(60, |noise| noise.waiting_s(1.0), 1, 1.0);
-        assert!(bound >= 0.94 && plain < 0.90, "{bound} {plain}");
-        let (bound, plain) = covered(60, |_| 0.3, 3, 0.9);
-        assert!(bound >= 0.94 && plain < 0.88, "{bound} {plain}");
     }
 }

@@ -13,7 +13,6 @@ use crate::files::Attached;
 use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
 use crate::problem::{ConfigError, Problem};
-use crate::template::Assignment;
 use crate::values::Values;
 use crate::{cpus, files, show, table};
 
@@ -86,7 +85,6 @@ pub struct Config {
     threads: Threads,
     queries: Queries,
     shown: String,
-    platform_keys: Vec<Vec<Assignment>>,
     recordings: Vec<RecordingOptions>,
     warnings: Vec<Problem>,
 }
@@ -221,13 +219,6 @@ impl Config {
         &self.models
     }
 
-    /// The keys that a platform of [`Config::settings`] sets, each value with its origin, for
-    /// [`platform_file`](crate::platform_file), none if there is no such platform.
-    #[must_use]
-    pub fn platform_keys(&self, platform: usize) -> &[Assignment] {
-        self.platform_keys.get(platform).map_or(&[], Vec::as_slice)
-    }
-
     /// Options for reading recordings of a platform of [`Config::settings`]. No option is set if
     /// the config has none, or if there is no such platform.
     #[must_use]
@@ -331,7 +322,6 @@ impl Builder<'_> {
             root: files::root(&fleet.0.text("domain.root")?),
             prefix: fleet.0.text("domain.prefix")?,
             settings: fleet.settings(capacity, platforms?)?,
-            platform_keys: read.platforms.iter().map(show::platform).collect(),
             recordings: read.platforms.iter().map(recordings).collect(),
             policy: fleet.policy()?,
             tick_period_ns: ns(1.0 / fleet.0.number("tick.rate_hz")?),

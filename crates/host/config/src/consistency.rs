@@ -253,7 +253,7 @@ fn level_rate(read: &FleetFile, warnings: &mut Vec<Problem>) {
              {limit} standard deviations",
             per_robot_h * robots as f64
         ),
-        "`joulebus calibrate` measures the rate on recordings of your robots".to_owned(),
+        "`joulebus alarms CAPTURE` shows those that your robots raise".to_owned(),
     ));
 }
 

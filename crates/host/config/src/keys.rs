@@ -164,11 +164,11 @@ pub const KEYS: &[Key] = &[
         "Largest |omega| that can be commanded, 0 for robots that report no velocity.")),
 
     of(Platform, key("platform.alarms.noise_limit", num(bounds::NOISE_LIMIT), "ratio", DefaultValue::Unset,
-        "Replaces the fleet's alarms.noise_limit for this platform. joulebus calibrate writes it.")),
+        "Replaces the fleet's alarms.noise_limit for this platform.")),
     of(Platform, key("platform.alarms.mismatch_limit", num(bounds::MISMATCH_LIMIT), "ratio", DefaultValue::Unset,
-        "Replaces the fleet's alarms.mismatch_limit for this platform. joulebus calibrate writes it.")),
+        "Replaces the fleet's alarms.mismatch_limit for this platform.")),
     of(Platform, key("platform.alarms.level_limit", num(bounds::LEVEL_LIMIT), "standard deviations", DefaultValue::Unset,
-        "Replaces the fleet's alarms.level_limit for this platform. joulebus calibrate writes it.")),
+        "Replaces the fleet's alarms.level_limit for this platform.")),
 
     of(Platform, key("platform.recordings.map", ValueKind::Text(TextRule::Columns), "", DefaultValue::Unset,
         "Columns of this platform's recordings, as --map names them. Verbs that read the config use it where --map is not given.")),

@@ -3,12 +3,11 @@
 use std::fmt::Write as _;
 
 use crate::consistency::level_limit_by_rate;
-use crate::document::{FleetFile, Listed};
+use crate::document::FleetFile;
 use crate::files;
-use crate::key::{File, Key};
+use crate::key::Key;
 use crate::keys::KEYS;
 use crate::model_source::ModelSource;
-use crate::template::Assignment;
 use crate::values::{Location, Value, Values};
 
 /// Every key with its value and origin, as a valid config file.
@@ -50,21 +49,6 @@ fn keys_of(values: &Values) -> impl Iterator<Item = &'static Key> {
         let own = own.find(|(section, _)| key.path.starts_with(section));
         own.map_or(key.path.starts_with("platform."), |(_, given)| *given)
     })
-}
-
-/// The keys that a platform sets, each value with its origin, as in a platform's file.
-pub(crate) fn platform(listed: &Listed) -> Vec<Assignment> {
-    let values = &listed.values;
-    let set = keys_of(values).filter(|key| key.file == File::Platform);
-    set.filter_map(|key| {
-        let location = values.location(key.path)?;
-        Some(Assignment {
-            key: key.path_in_file(),
-            value: resolved(values, key)?.to_string(),
-            note: format!("From {location}."),
-        })
-    })
-    .collect()
 }
 
 fn section_of(key: &Key) -> &'static str {

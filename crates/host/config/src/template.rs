@@ -149,12 +149,6 @@ mod tests {
         let robot = &config.settings().platforms[0];
         assert_eq!(robot.power_max_w, 60.0);
         assert_eq!(robot.alarms.map(|limits| limits.noise_limit), Some(9.0));
-        // Written again from its keys, it is the same platform.
-        let again = platform_file("The same.", config.platform_keys(0));
-        std::fs::write(folder.path().join("robot.toml"), &again).expect("writable");
-        let same = Config::load(&path).unwrap_or_else(|error| panic!("{error}\n{again}"));
-        assert_eq!(same.settings(), config.settings());
-        assert_eq!(same.models(), config.models());
         assert!(config.warnings().is_empty(), "{:?}", config.warnings());
         // The rate replaces another key, and has no default.
         for key in KEYS.iter().filter(|key| key.path != crate::consistency::LEVEL_RATE) {

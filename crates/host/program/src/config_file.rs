@@ -55,11 +55,6 @@ impl ConfigFile {
         Config::parse(&shipped.toml(), Path::new("."))
     }
 
-    /// True if it is the built-in one, because no file is named and none is in a usual place.
-    pub fn is_builtin(&self) -> bool {
-        matches!(self.find(), Ok(None))
-    }
-
     /// Name of the config in messages.
     pub fn name(&self) -> String {
         match self.find() {

@@ -43,6 +43,12 @@ const GONE: &[(&str, &str, &str)] = &[
         "in Python, joulebus.read, read_frames and read_trials give tables, which pandas and Polars \
          write as Parquet: docs/how-to/python-lab.md",
     ),
+    (
+        PROGRAM,
+        "calibrate",
+        "alarms.level_alarms_per_robot_h chooses the limit of levels by a rate, and `joulebus alarms \
+         CAPTURE` shows what other limits would be set by: docs/how-to/alarms.md",
+    ),
     ("FORMAT", "ndjson csv", ROWS),
     ("serve", "--foxglove --host --port --allow-origin --per-robot", FOXGLOVE),
     (
@@ -67,7 +73,6 @@ const GONE: &[(&str, &str, &str)] = &[
     ("data check", "--places", "--format json has ten places of each finding"),
     ("analyze", "--window", "the models read five readings, as the network does"),
     ("analyze", "--each", "--format json has the autocorrelation of each trial"),
-    ("calibrate", "--confidence", "the rate is stated at 95 %"),
     (
         "mission",
         "--first-seed --dragging",

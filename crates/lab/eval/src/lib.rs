@@ -2,7 +2,6 @@
 #![forbid(unsafe_code)]
 
 pub mod analyze;
-pub mod calibrate;
 pub mod energy;
 pub mod evaluate;
 mod report;

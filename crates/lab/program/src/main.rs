@@ -6,7 +6,6 @@
 #![forbid(unsafe_code)]
 
 mod analyze;
-mod calibrate;
 mod config_init;
 mod data;
 mod design;
@@ -49,7 +48,6 @@ enum Command {
     Train(train::Args),
     Analyze(analyze::Args),
     Eval(eval::Args),
-    Calibrate(calibrate::Args),
     Report(report::Args),
     Model(model::Args),
     Mission(mission::Args),
@@ -93,7 +91,6 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Train(args) => train::run(args, output),
         Command::Analyze(args) => analyze::run(args, output),
         Command::Eval(args) => eval::run(args, output),
-        Command::Calibrate(args) => calibrate::run(args, output),
         Command::Report(args) => report::run(args, output),
         Command::Model(args) => model::run(args, output),
         Command::Mission(args) => mission::run(args, output),

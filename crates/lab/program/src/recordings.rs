@@ -189,10 +189,7 @@ impl From<Resampling> for Method {
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::*;
-    use crate::calibrate::{RecordedFile, trials};
     use crate::train::train_recordings;
 
     #[test]
@@ -208,17 +205,10 @@ mod tests {
         std::fs::remove_file(&files[0]).expect("removable");
         let (map, columns) = (ColumnMap::default(), ColumnArguments::default());
         let with_ids: Vec<(u32, PathBuf)> = (3..).zip(found.clone()).collect();
-        let recorded = found.iter().map(|path| RecordedFile::new(path.clone()));
-        let recorded: Vec<RecordedFile> = recorded.collect();
-        let text =
-            "[fleet]\nname = \"t\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-3\"]\n";
-        let config = Config::parse(text, Path::new("fleet.toml")).expect("a config");
-        let own = &config.settings().platforms[0];
         let out = folder.path().join("model");
         for (verb, error) in [
             ("eval, train trials, analyze", open(found.clone(), &map).err().map(Into::into)),
             ("eval of a config's robots", open_with_ids(&with_ids, &map).err().map(Into::into)),
-            ("calibrate", trials(&recorded, own, &map).err()),
             ("config init --train", train_recordings(&found, &columns, &out, 2).err()),
         ] {
             let error: anyhow::Error = error.unwrap_or_else(|| panic!("{verb}: it is missed"));

@@ -149,8 +149,6 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         // Captures and their names contain their creation time.
         "capture/recorder/src/attachments.rs",
         "cli/src/demo/capture.rs",
-        // Platform files contain the date of their calibration.
-        "lab/program/src/calibrate.rs",
     ];
     for Member { name, directory, .. } in members() {
         let words = ["unix_ns()", "SystemTime", "ClockId::Realtime"];

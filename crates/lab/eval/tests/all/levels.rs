@@ -6,13 +6,12 @@ use std::path::{Path, PathBuf};
 use joulebus_config::Config;
 use joulebus_dataset::rows::{Dataset, Row, RowOrigin, trial_rows};
 use joulebus_dataset::trial::Trial;
-use joulebus_eval::calibrate::{Fault, Request, calibrate};
 use joulebus_fleet::Fleet;
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_settings::FleetSettings;
 use joulebus_testkit::recordings;
 use joulebus_train::{TrainSettings, train};
-use joulebus_wire::{AlarmSet, SCHEMA_VERSION, SampleHeader};
+use joulebus_wire::{AlarmSet, SCHEMA_VERSION, Sample, SampleHeader};
 use rayon::prelude::*;
 
 use crate::remembered::SETS;
@@ -71,23 +70,26 @@ fn network(trials: &[Trial], period_s: f32, feature_set: FeatureSet, max_epochs:
 /// The network has seen grey and brown floors alone. The constants were chosen with all floors in
 /// view, so this is no blind test.
 #[test]
-#[ignore = "trains and calibrates for minutes: CONTRIBUTING.md has the command"]
+#[ignore = "trains and plays for minutes: CONTRIBUTING.md has the command"]
 fn loads_are_found_on_floors_that_nobody_trained_on() {
     let words = ["one_surface_type_gray_surface", "one_surface_type_brown_surface"];
     let Some([own, others]) = divided("robotino", &words) else {
         return;
     };
-    let request = Request { fleet_per_h: 8.0, robots: 1, confidence: 0.95, extrapolate: false };
     let settings = settings("robotino");
     let model = network(&own, period_s(&settings), FeatureSet::Full, 15);
-    let found = calibrate(&settings, 0, &model, &others, &request).unwrap();
-    println!("{found}");
-    let load = |share: f64| {
-        let load = Fault::ExtraLoad(share);
-        found.delays.iter().find(|delays| delays.fault == load).unwrap().calibrated
+    let delay_s = |trial: &Trial| {
+        let (samples, from_ns) = loaded(trial);
+        let (raised_ns, _) = raised(&settings, &model, &samples);
+        let first_ns = raised_ns.into_iter().find(|at_ns| *at_ns >= from_ns);
+        first_ns.map_or(f64::INFINITY, |at_ns| (at_ns - from_ns) as f64 * 1e-9)
     };
-    let double = load(1.0);
-    assert!(double.found >= 0.95 && double.median_s < 5.0, "{double:?}");
+    let mut delays_s: Vec<f64> = others.par_iter().map(delay_s).collect();
+    delays_s.sort_by(f64::total_cmp);
+    let found = delays_s.iter().filter(|delay_s| delay_s.is_finite()).count();
+    let median_s = delays_s[delays_s.len() / 2];
+    println!("{found} of {} loads found, after {median_s:.1} s", delays_s.len());
+    assert!(found * 20 >= delays_s.len() * 19 && median_s < 5.0, "{delays_s:.1?}");
 }
 
 /// Healthy robots by the shipped settings, each a robot that nothing is known of.
@@ -105,8 +107,8 @@ fn on_floors_that_are_left_out_healthy_robots_raise_at_most_a_level_an_hour() {
             // Levels read the energy model alone.
             let model = network(&own, period_s(&settings), feature_set, 1);
             let played: Vec<_> =
-                left_out.par_iter().map(|trial| raised(&settings, &model, trial)).collect();
-            let count: usize = played.iter().map(|(levels, _)| levels).sum();
+                left_out.par_iter().map(|trial| raised(&settings, &model, &samples(trial))).collect();
+            let count: usize = played.iter().map(|(levels, _)| levels.len()).sum();
             let of_floor_h: f64 = played.iter().map(|(_, hours)| hours).sum();
             println!("{folder}, {floor}: {count} in {of_floor_h:.2} h");
             // There the floor changes within the run, as it does with a load.
@@ -118,11 +120,26 @@ fn on_floors_that_are_left_out_healthy_robots_raise_at_most_a_level_an_hour() {
     }
 }
 
-/// The alarms of levels that a robot raises, and its hours.
-fn raised(settings: &FleetSettings, model: &Model, trial: &Trial) -> (usize, f64) {
+fn samples(trial: &Trial) -> Vec<Sample> {
+    trial.to_samples(0, 1_000_000_000)
+}
+
+/// The samples with twice the mean power from 40 % of them on, and since when.
+fn loaded(trial: &Trial) -> (Vec<Sample>, u64) {
+    let mut samples = samples(trial);
+    let mean_w = samples.iter().map(|sample| sample.power_w).sum::<f32>() / samples.len() as f32;
+    let from = samples.len() * 2 / 5;
+    for sample in &mut samples[from..] {
+        sample.power_w += mean_w;
+    }
+    let from_ns = samples[from].stamp_ns;
+    (samples, from_ns)
+}
+
+/// The times at which a robot raises an alarm of its level, ns, and its hours.
+fn raised(settings: &FleetSettings, model: &Model, samples: &[Sample]) -> (Vec<u64>, f64) {
     let mut fleet = Fleet::new(settings.clone(), vec![model.clone()]).unwrap();
-    let (mut before, mut count) = (AlarmSet::default(), 0);
-    let samples = trial.to_samples(0, 1_000_000_000);
+    let (mut before, mut raised_ns) = (AlarmSet::default(), Vec::new());
     for (frame, sample) in samples.iter().enumerate() {
         let header = SampleHeader {
             schema: SCHEMA_VERSION,
@@ -139,9 +156,9 @@ fn raised(settings: &FleetSettings, model: &Model, trial: &Trial) -> (usize, f64
         if !fleet.is_empty() {
             let alarms = fleet.diagnostic(0).alarms();
             let new = alarms.iter().filter(|alarm| alarm.is_of_level() && !before.has(*alarm));
-            count += new.count();
+            raised_ns.extend(new.map(|_| sample.stamp_ns));
             before = alarms;
         }
     }
-    (count, (samples.last().unwrap().stamp_ns - samples[0].stamp_ns) as f64 / 3.6e12)
+    (raised_ns, (samples.last().unwrap().stamp_ns - samples[0].stamp_ns) as f64 / 3.6e12)
 }

@@ -1,9 +1,8 @@
-//! The tests of evaluation: forecasts, alarms, calibration, and analyses of recordings.
+//! The tests of evaluation: forecasts, alarms, and analyses of recordings.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
 mod alarms;
 mod analysis;
-mod calibrate;
 mod levels;
 mod live;
 mod online_learning;
