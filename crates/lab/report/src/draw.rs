@@ -14,7 +14,7 @@ use joulebus_statistics::metrics::Tally;
 use joulebus_train::{Epoch, TrainSettings, Trained, Training};
 
 use super::experiment::Simulated;
-use super::{ReportError, material::BASELINES};
+use super::{ReportError, recorded::options};
 
 /// Trials that train, of the six. The next one validates and the last is held out.
 const TRAINING: usize = 4;
@@ -147,10 +147,9 @@ impl Plain {
     }
 }
 
-/// Options of a draw of which only the scores are shown: no open loop, no intervals.
+/// Options of a draw of which only the scores are shown: no intervals.
 pub(super) fn scores_only() -> Options {
-    let mut options =
-        Options { horizons: Vec::new(), baselines: BASELINES.to_vec(), ..Options::default() };
+    let mut options = options();
     options.bootstrap.resamples = 0;
     options
 }

@@ -1,6 +1,5 @@
 //! Errors of making a report.
 
-use joulebus_eval::evaluate::EvaluateError;
 use joulebus_eval::score::ScoreError;
 use joulebus_train::TrainError;
 
@@ -15,8 +14,6 @@ pub enum ReportError {
     Ended,
     #[error(transparent)]
     Score(#[from] ScoreError),
-    #[error(transparent)]
-    Evaluate(#[from] EvaluateError),
     #[error(transparent)]
     Train(#[from] TrainError),
     #[error("the report cannot be written as JSON: {0}")]

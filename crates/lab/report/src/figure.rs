@@ -65,8 +65,6 @@ pub(crate) struct Axis {
 #[serde(rename_all = "kebab-case")]
 enum Scale {
     Linear,
-    /// Numbers that are not above 0 are not drawn.
-    Log,
     /// Categories, at 0, 1, 2 and so on. On a vertical axis from the top down.
     Names(Vec<String>),
 }
@@ -74,10 +72,6 @@ enum Scale {
 impl Axis {
     pub(crate) fn new(label: impl Into<String>) -> Self {
         Self { label: label.into(), scale: Scale::Linear, limits: None, includes: None }
-    }
-
-    pub(crate) fn log(label: impl Into<String>) -> Self {
-        Self { scale: Scale::Log, ..Self::new(label) }
     }
 
     pub(crate) fn names(names: Vec<String>) -> Self {

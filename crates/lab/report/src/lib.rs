@@ -2,7 +2,6 @@
 #![forbid(unsafe_code)]
 
 mod ablation;
-mod calibration;
 mod comparison;
 mod document;
 mod draw;
@@ -11,7 +10,6 @@ mod experiment;
 mod figure;
 mod files;
 mod forecast;
-mod horizons;
 mod html;
 mod material;
 mod paper;

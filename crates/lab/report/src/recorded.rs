@@ -8,7 +8,7 @@ use super::material::{BASELINES, Material};
 use super::robots::Grouping;
 use super::unit::Unit;
 use super::usage::Usage;
-use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
+use super::{ReportError, ablation, forecast, power, robots, scores};
 use joulebus_dataset::trial::TrialError;
 use joulebus_eval::score::{
     Design, Options, Recording, Reference, ScoreError, Scored, ScoredRows, Subject, score,
@@ -64,10 +64,6 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     let subject = Subject { settings, platform, models, recordings, design: &design };
     let options = Options { references: references.clone(), ..options() };
     let scored = score(subject, &options)?;
-    let levels = match models.first() {
-        Some(model) => calibration::levels(settings, platform, model, recordings, Some(&design))?,
-        None => Vec::new(),
-    };
     let indexed = recordings.iter().enumerate();
     let evaluated =
         indexed.filter(|(at, _)| design.evaluated(*at).any(|(_, rows)| !rows.is_empty()));
@@ -98,8 +94,6 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     sections.extend(forecast::section(&material, &trial));
     let chosen = robots::chosen(&material);
     sections.extend(chosen.map(|(kind, sets)| robots::section(&material, kind, sets)));
-    sections.extend(horizons::section(&material));
-    sections.push(calibration::section(&material, &levels));
     sections.push(all_scores(&material, chosen.map(|(kind, _)| kind)));
     let trials = recordings.len();
     Ok(Document {
@@ -110,9 +104,9 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     })
 }
 
-/// Options of the evaluations in reports.
+/// Options of the evaluations in reports, which show no open loop.
 pub(super) fn options() -> Options {
-    Options { baselines: BASELINES.to_vec(), ..Options::default() }
+    Options { horizons: Vec::new(), baselines: BASELINES.to_vec(), ..Options::default() }
 }
 
 /// The warning for models trained on simulated robots only.

@@ -45,18 +45,13 @@
   function ends(axis, values) {
     if (axis.scale.names) return axis.scale.names.length ? [-0.6, axis.scale.names.length - 0.4] : null;
     if (axis.limits) return axis.limits;
-    const isLog = axis.scale === "log";
     let [low, high] = [Infinity, -Infinity];
     for (const value of [...values, axis.includes]) {
-      if (!isKnown(value) || (isLog && value <= 0)) continue;
+      if (!isKnown(value)) continue;
       low = Math.min(low, value);
       high = Math.max(high, value);
     }
     if (low > high) return null;
-    if (isLog) {
-      const room = high > low ? (high / low) ** 0.03 : 1.4;
-      return [low / room, high * room];
-    }
     if (low === high) return [low - (Math.abs(low) / 10 || 1), high + (Math.abs(high) / 10 || 1)];
     const room = (high - low) * 0.04;
     // Bars start at zero, and so does time.
@@ -215,7 +210,7 @@
       const where = at == null ? "" : `${panel.x.label} ${shown(plot.data[0][at])}: `;
       readout.textContent = values.length ? where + values.join(", ") : "\u00a0";
     };
-    const scale = ({ scale }, range, dir = 1) => ({ time: false, auto: false, range, dir, distr: scale === "log" ? 3 : 1 });
+    const scale = (range, dir = 1) => ({ time: false, auto: false, range, dir });
     const below = panel.layers.filter(({ mark }) => ["stripe", "columns", "tiles", "bars"].includes(kindOf(mark)[0]));
     const above = panel.layers.filter(({ mark }) => ["rule", "diagonal", "dots"].includes(kindOf(mark)[0]));
     let plot;
@@ -227,7 +222,7 @@
         padding: [8, 12, 0, 0],
         legend: { show: false },
         cursor: { y: false, drag: { x: false, y: false } },
-        scales: { x: scale(panel.x, x), y: scale(panel.y, y, panel.y.scale.names ? -1 : 1) },
+        scales: { x: scale(x), y: scale(y, panel.y.scale.names ? -1 : 1) },
         axes: [axisOf(panel.x, false, width), axisOf(panel.y, true, width)],
         series, bands,
         hooks: {

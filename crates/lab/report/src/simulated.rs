@@ -2,21 +2,20 @@
 
 use std::ops::ControlFlow;
 
-use joulebus_predictor::{Model, Network};
+use joulebus_predictor::Network;
 use joulebus_settings::FleetSettings;
 
 use super::comparison::{self, Numbers};
 use super::document::{Document, Part, Section};
 use super::draw::{Draw, Recordings, scores_only};
 use super::experiment::Simulated;
-use super::figure::{Axis, Colour, Direction, Figure, Layer, Mark, Panel};
 use super::material::Material;
 use super::recorded::{all_scores, options};
 use super::robots::Grouping;
 use super::unit::Unit;
-use super::{ReportError, ablation, calibration, forecast, horizons, power, robots, scores};
-use joulebus_eval::score::{Cell as Scores, Recording};
-use joulebus_train::{Epoch, Trained};
+use super::{ReportError, ablation, forecast, power, robots, scores};
+use joulebus_eval::score::Cell as Scores;
+use joulebus_train::Epoch;
 
 /// The note on every figure of simulated robots.
 pub const NOTE: &str = "simulated robots";
@@ -66,24 +65,14 @@ pub fn simulated(
     let (trained, seed) = (networks.swap_remove(shown), draws[shown].seed);
     let recordings = Recordings::simulated(experiment, seed);
     let draw = recordings.score(&trained.network, settings, &options())?;
-    let Recordings { trials, robots, .. } = &draw.recordings;
-    let everything: Vec<Recording> = trials.iter().skip(5).chain(robots).cloned().collect();
-    let model = Model::Network(trained.network.clone());
-    let levels = calibration::levels(settings, None, &model, &everything, None)?;
     Ok(SimulatedReport {
-        document: document(experiment, &draws, &draw, &trained, &levels),
+        document: document(experiment, &draws, &draw),
         network: trained.network,
         shown_seed: seed,
     })
 }
 
-fn document(
-    experiment: &Simulated,
-    draws: &[Numbers],
-    shown: &Draw,
-    trained: &Trained,
-    levels: &[calibration::Level],
-) -> Document {
+fn document(experiment: &Simulated, draws: &[Numbers], shown: &Draw) -> Document {
     let Recordings { seed, trials, robots } = &shown.recordings;
     let note = format!("{NOTE}, seed {seed}");
     let single = Material {
@@ -101,13 +90,10 @@ fn document(
         comparison::section(draws),
         power::section(&single),
         ablation::section(&single),
-        training(trained, &note),
         per_trial(&single),
     ];
     sections.extend(forecast::section(&single, &sixth));
     sections.push(robots::section(&fleet, Grouping::Robots, together));
-    sections.extend(horizons::section(&fleet));
-    sections.push(calibration::section(&fleet, levels));
     sections.push(all_scores(&fleet, Some(Grouping::Robots)));
     let (count, samples) = (experiment.draws, experiment.samples);
     let (from, to) = (experiment.seed, experiment.seed + u64::from(count) - 1);
@@ -127,52 +113,6 @@ fn document(
         ),
         summary,
         sections,
-    }
-}
-
-fn training(trained: &Trained, note: &str) -> Section {
-    let curve = |of: fn(&Epoch) -> f64| Mark::Line {
-        points: trained.epochs.iter().map(|epoch| [f64::from(epoch.number), of(epoch)]).collect(),
-        dashed: false,
-    };
-    let best = trained.epochs.iter().rev().find(|epoch| epoch.best);
-    let number = best.map_or(0, |epoch| epoch.number);
-    let panel = Panel {
-        title: String::new(),
-        x: Axis::new("epoch"),
-        y: Axis::log("loss (share of the training variance)"),
-        layers: vec![
-            Layer::named(
-                "training, with dropout",
-                Colour::Grey,
-                curve(|epoch| epoch.training_loss),
-            ),
-            Layer::named("validation, trial 5", Colour::Blue, curve(|epoch| epoch.validation_loss)),
-            Layer::named(
-                "selected epoch",
-                Colour::Vermilion,
-                Mark::Rule { at: number.into(), direction: Direction::Up },
-            ),
-        ],
-    };
-    let mut figure = Figure::new(
-        "figure-training",
-        "Training.",
-        "Mean squared error of the normalised power by epoch.",
-        vec![panel],
-    );
-    figure.note = Some(note.to_owned());
-    Section {
-        id: "training".to_owned(),
-        title: "Training".to_owned(),
-        parts: vec![
-            Part::Words(format!(
-                "{} rows of trials 1 to 4, {} epochs; selected: epoch {number}.",
-                trained.findings.training_rows,
-                trained.epochs.len()
-            )),
-            Part::Figure(figure),
-        ],
     }
 }
 

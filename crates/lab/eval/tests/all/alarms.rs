@@ -255,24 +255,3 @@ fn false_alarms_of_levels() {
         assert!(shown <= at_most, "limit {limit}: {shown}, stated are {at_most}");
     }
 }
-
-/// Figures of many seeds and long runs.
-#[test]
-#[ignore = "prints figures for minutes: CONTRIBUTING.md has the command"]
-fn figures() {
-    // 200 robot hours.
-    let seeds = (1..=8u64).into_par_iter();
-    let runs: Vec<Raised> = seeds.map(|seed| play(seed, 100, 900.0, &[])).collect();
-    for run in &runs {
-        println!("{} false alarms: {:.1?}", run.false_alarms, run.first_s);
-    }
-    let (alarms, hours) = total(&runs);
-    println!("{alarms} false alarms in {hours:.0} robot hours");
-    for from_s in [10.0, 30.0] {
-        for seed in 1..=8 {
-            let planted = faults(from_s);
-            let found_s = found_after_s(&planted, &play(seed, 5, 60.0, &planted));
-            println!("from {from_s} s, seed {seed}: found after {found_s:.2?} s");
-        }
-    }
-}

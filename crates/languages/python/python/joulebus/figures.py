@@ -70,9 +70,7 @@ def _draw(ax: Any, panel: dict[str, Any]) -> None:
         axis = panel[way]
         getattr(ax, f"set_{way}label")(axis["label"])
         scale, limits = axis["scale"], axis["limits"]
-        if scale == "log":
-            getattr(ax, f"set_{way}scale")("log")
-        elif scale != "linear":
+        if scale != "linear":
             names = scale["names"]
             getattr(ax, f"set_{way}ticks")(range(len(names)), names)
             # From the top down.
