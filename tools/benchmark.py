@@ -72,7 +72,7 @@ def run_task(task, given, lab, boosting, place):
                    input=json.dumps([learned, [str(files[name]) for name in sorted(out)]]))
     forecasts = [f"LightGBM={made}", *(f"{name}={folder}/{task.replace('/', '-')}.csv" for name, folder in given.forecasts)]
     asked = ["--split", "trial"] if left_out is None else leave_out
-    scored = report(lab, "--format", "json", "eval", folder, "--model", model, *asked, "--horizons", "none",
+    scored = report(lab, "--format", "json", "eval", folder, "--model", model, *asked,
                     *(word for named in forecasts for word in ("--forecasts", named)))
     cell = scored["evaluations"][0]["all"]
     rows = []

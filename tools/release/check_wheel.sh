@@ -37,7 +37,7 @@ cd "$work"
 import joulebus
 
 trials = joulebus.simulate(1, steps=600).trials
-print(joulebus.train(trials, split="time", max_epochs=2), joulebus.evaluate(trials[5], horizons=[1]))
+print(joulebus.train(trials, split="time", max_epochs=2), joulebus.evaluate(trials[5]))
 with joulebus.demo(3) as demo:
     assert demo.planner.ask(2, idle_s=60.0)[0].verdict == "yes"
 PYTHON

@@ -18,7 +18,7 @@ const DOORS: [(&str, &str); 10] = [
     ("import", "import RECORDING -o OUT"),
     ("config init", "config init --from RECORDING -o OUT"),
     ("train", "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors"),
-    ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0 --horizons none"),
+    ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0"),
     ("analyze", "analyze RECORDING --native --split time"),
     ("report", "report RECORDING --model builtin:gternal-sim -o OUT"),
     (
@@ -27,7 +27,7 @@ const DOORS: [(&str, &str); 10] = [
     ),
     (
         "model compare",
-        "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0 --horizons none",
+        "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0",
     ),
 ];
 

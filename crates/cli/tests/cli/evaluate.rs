@@ -69,16 +69,8 @@ fn a_directory_is_evaluated_by_group_robot_and_trial() {
     let model = &all["forecasters"][0];
     let coverage = model["interval"]["coverage"].as_f64();
     assert!(coverage.unwrap() > 0.5, "{model}");
-    let horizons = evaluation["open_loop"]["horizons"].as_array().unwrap();
-    let reached = |at: usize| (&horizons[at]["ticks"], &horizons[at]["origins"]);
-    // Every row; and a trial of 60 rows shows nothing about 300 ticks.
-    assert_eq!(reached(0), (&1.into(), &(120 * 55).into()));
-    assert_eq!(reached(5), (&300.into(), &0.into()));
-    assert!(horizons[5]["forecasters"][0]["r2"]["value"].is_null());
-
-    let shown = output([&asked[..], &["--horizons", "1,20"]].concat());
-    let parts =
-        "AR(5) + velocities | By group | sand | By robot | skill | Open loop | MAPE | no split";
+    let shown = output(asked);
+    let parts = "AR(5) + velocities | By group | sand | By robot | skill | MAPE | no split";
     assert_contains(&stdout(&shown), parts.split(" | "));
     // 120 trials are not listed one by one.
     assert!(stdout(&shown).lines().count() < 80);
@@ -111,7 +103,7 @@ fn rows_trained_on_are_recognised_under_other_names_and_in_captures_and_scored_a
     let of = |part: &str| PathBuf::from(split[part][0].as_str().unwrap());
     let eval = |path: &Path| {
         let arguments = ["eval", "--model", model, text(path), "--resamples", "0"];
-        let done = done([&arguments[..], &["--horizons", "none", "--format", "json"]].concat());
+        let done = done([&arguments[..], &["--format", "json"]].concat());
         (json(&done)["evaluations"][0].clone(), stderr(&done))
     };
 
@@ -145,9 +137,7 @@ fn a_usage_error_lists_the_allowed_values() {
     let folder = tempfile::tempdir().unwrap();
     let data = recordings(folder.path(), 2, 40);
     for (arguments, part) in [
-        ("--horizons 1,301", "1 to 300"),
-        ("--horizons 10,3", "ascending"),
-        ("--horizons soon", "whole numbers"),
+        ("--horizons 1,30", "--energy"),
         ("--split trial", "at least 3"),
         ("--split row", "trial"),
         ("--split time --held-out 0.9", "less than 1"),
@@ -245,7 +235,7 @@ fn the_scores_of_shipped_models_in_documents_are_those_that_eval_prints() {
         let data = data.join(folder);
         let model_option = format!("builtin:{model}");
         let begin = ["eval", text(&data), "--model", &model_option, "--split", "trial"];
-        let done = done([&begin[..], &["--horizons", "none", "--format", "json"]].concat());
+        let done = done([&begin[..], &["--format", "json"]].concat());
         let all = &json(&done)["evaluations"][0]["all"];
         let of = |name: &str| forecaster(all, name);
         let [online, network] =

@@ -156,7 +156,7 @@ fn from_logs_with_names_of_their_own_to_a_worker() {
     // Every verb that reads the config reads the recordings as it was configured once.
     for line in [
         "joulebus data check runs --platform runs --config lab/fleet.toml",
-        "joulebus eval runs --config lab/fleet.toml --resamples 0 --horizons none",
+        "joulebus eval runs --config lab/fleet.toml --resamples 0",
         "joulebus report runs --platform runs --config lab/fleet.toml --model builtin:gternal-sim -o page",
     ] {
         let printed = home.shell(line).output().unwrap().exits(0);

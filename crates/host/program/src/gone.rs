@@ -9,6 +9,8 @@ const FOXGLOVE: &str =
 const PARTS: &str = "one `joulebus eval` runs the recordings on all processors. It gives the same \
                      report, and --format json is for programs";
 
+const HORIZONS: &str = "`joulebus eval --energy` scores the energy of the next 1 to 300 s";
+
 /// How a network's features were computed, which its author states.
 const STATED: &str =
     "it is stated when the network is converted, by joulebus.models.convert of the Python package";
@@ -64,6 +66,8 @@ const GONE: &[(&str, &str, &str)] = &[
          docs/how-to/open-the-page.md",
     ),
     ("eval", "--partition --merge --out", PARTS),
+    ("eval", "--horizons", HORIZONS),
+    ("model compare", "--horizons", HORIZONS),
     ("eval", "--origins-every --confidence --block-rows", SCORES),
     ("model compare", "--origins-every --confidence --block-rows", "a comparison is at 95 %"),
     ("model compare", "--energy", "`joulebus eval --energy` scores the energy of a model"),

@@ -1,16 +1,11 @@
 //! Scores of models on recordings, compared with baselines.
 //!
-//! Two modes, both on the same rows and with the same baselines:
-//!
-//! - *Corrected*: each forecast is based on real readings, one tick ahead. Forecasts and intervals
-//!   are those of the live tick, to the bit ([`crate::evaluate`]).
-//! - *Open loop*: from an origin on, a forecaster is fed with its own forecasts and the true
-//!   commands, and is scored at given horizons ([`Horizon`]). One tick ahead, on all rows, it
-//!   equals corrected mode.
+//! Each forecast is based on real readings, one tick ahead. Forecasts and intervals are those of the
+//! live tick, to the bit ([`crate::evaluate`]).
 //!
 //! The scored forecast is the one that would be published
 //! ([`Forecast`](crate::evaluate::Forecast)). The members of an online forecast are scored beside
-//! it. Open loop is the network's alone.
+//! it.
 //!
 //! The baselines are persistence and linear models of the last readings and the velocities
 //! ([`joulebus_train::linear`]), fitted on rows that are not evaluated ([`Design`]). Further ones,
@@ -35,7 +30,6 @@ mod error;
 mod kept;
 mod members;
 mod open;
-mod open_loop;
 mod options;
 mod recording;
 mod references;
@@ -47,12 +41,12 @@ mod text;
 mod trained_on;
 
 pub use cell::{
-    Blocks, Cell, ForecasterScore, Horizon, HorizonCell, HorizonScore, IntervalScore, Role, Skill,
+    Blocks, Cell, ForecasterScore, IntervalScore, Role, Skill,
 };
 pub use common::{BaselineReport, ModelReport};
 pub use compare::{Comparison, Difference, FEWEST_TRIALS, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};
-pub use error::{MAX_HORIZON, ScoreError};
+pub use error::ScoreError;
 pub(crate) use open::each;
 pub use open::{ROWS_IN_MEMORY, open_recordings, read_recordings};
 pub use options::Options;

@@ -160,7 +160,7 @@ impl HeldOut {
         let design = design.hold_apart(&recordings, models)?;
         let subject =
             Subject { settings, platform, models, recordings: &recordings, design: &design };
-        let options = Options { horizons: Vec::new(), ..Options::default() };
+        let options = Options::default();
         let report = match score_reported(subject, &options) {
             Ok(scored) => scored.report,
             Err(error @ ScoreError::NoRows { .. }) => {

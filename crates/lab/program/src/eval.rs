@@ -29,8 +29,7 @@ pub(crate) use subject::Selection;
     joulebus eval --config configs/mixed.toml robotino/@robotino husky/@husky\n  \
     joulebus eval --model my.safetensors recordings/ --split trial --energy\n  \
     joulebus eval --trips recordings/\n\n\
-    Corrected: each forecast is based on real readings, one tick ahead. Open loop: a forecaster is fed \
-    with its own forecasts and the true commands. MAE is in W. Skill is 1 - squared error over \
+    Each forecast is based on real readings, one tick ahead. MAE is in W. Skill is 1 - squared error over \
     that of persistence: above 0 is better than repeating the last reading. [lo, hi] are \
     confidence \
     intervals by block bootstrap. All forecasters are scored on the same rows: those with five \
@@ -59,9 +58,9 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    pub(crate) fn options(&self) -> anyhow::Result<Options> {
+    fn options(&self) -> anyhow::Result<Options> {
         let (references, energy) = (self.references.read()?, self.energy);
-        Ok(Options { references, energy, ..self.asked.options()? })
+        Ok(Options { references, energy, ..self.asked.options() })
     }
 }
 

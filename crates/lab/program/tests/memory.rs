@@ -68,7 +68,7 @@ fn verbs_hold_no_more_of_more_trials() {
     fs::write(&recipe, "[training]\nmax_epochs = 1\n").unwrap();
     let [out, recipe] = [&out, &recipe].map(|path| path.to_str().unwrap());
     let verbs: [&[&str]; 3] = [
-        &["eval", "--resamples", "0", "--horizons", "1", "--model", model],
+        &["eval", "--resamples", "0", "--model", model],
         &["analyze", "--model", model],
         &["train", "trials", "--recipe", recipe, "--most-rows", "20000", "--out", out],
     ];

@@ -104,9 +104,9 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
     })
 }
 
-/// Options of the evaluations in reports, which show no open loop.
+/// Options of the evaluations in reports.
 pub(super) fn options() -> Options {
-    Options { horizons: Vec::new(), baselines: BASELINES.to_vec(), ..Options::default() }
+    Options { baselines: BASELINES.to_vec(), ..Options::default() }
 }
 
 /// The warning for models trained on simulated robots only.
@@ -196,7 +196,7 @@ fn inputs(material: &Material<'_>) -> Section {
         let members = match model.members.as_slice() {
             [] => String::new(),
             members => format!(
-                ", learned for each robot from {}; open loop is the network's alone",
+                ", learned for each robot from {}",
                 members.join(", ")
             ),
         };

@@ -82,37 +82,36 @@ def test_parts_that_are_given_are_those_of_the_program(run, files, tmp_path):
 
 
 def test_an_evaluation_has_the_programs_numbers(run, files):
-    told = json.loads(run("eval", *files[:3], "--model", MODEL, "--horizons", "1,30", "--resamples", 50, "--format", "json"))
-    found = joulebus.evaluate(files[:3], MODEL, horizons=[1, 30], resamples=50, progress=False)
+    told = json.loads(run("eval", *files[:3], "--model", MODEL, "--resamples", 50, "--format", "json"))
+    found = joulebus.evaluate(files[:3], MODEL, resamples=50, progress=False)
     assert found.data == told
-    assert str(found).startswith(run("eval", *files[:3], "--model", MODEL, "--horizons", "1,30", "--resamples", 50)[:200])
+    assert str(found).startswith(run("eval", *files[:3], "--model", MODEL, "--resamples", 50)[:200])
     # By name too, and as an object.
-    same = joulebus.evaluate(files[:3], joulebus.Predictor(), horizons=[1, 30], resamples=50, progress=False)
+    same = joulebus.evaluate(files[:3], joulebus.Predictor(), resamples=50, progress=False)
     assert same.report["all"] == found.report["all"]
     rows = found.to_pandas()
     network = rows[(rows["set"] == "all") & (rows["role"] == "published")].iloc[0]
     assert network["r2"] == told["evaluations"][0]["all"]["forecasters"][0]["r2"]["value"]
     assert set(rows["set"]) == {"all", "group", "trial"}
-    assert found.to_pandas("horizons")["ticks"].unique().tolist() == [1, 30]
     series = found.series[1]
     assert series["trial"] == str(files[1])
     assert len(found.to_pandas("series")) == sum(len(one["time_s"]) for one in found.series)
     errors = np.abs(series["reading_w"] - series["forecast_w"])
     assert errors.mean() == pytest.approx(found.data["robots"][1]["mae_w"], rel=1e-5)
-    assert len(found.plot(series=1).lines) == 2 and len(found.plot_horizons().lines) == 4
+    assert len(found.plot(series=1).lines) == 2
 
 
 def test_a_split_evaluates_what_a_training_has_held_out(run, files, simulation):
-    arguments = ["--model", MODEL, "--horizons", "none", "--resamples", 0, "--split", "trial", "--leave-out", files[5]]
+    arguments = ["--model", MODEL, "--resamples", 0, "--split", "trial", "--leave-out", files[5]]
     told = json.loads(run("eval", *files[:6], *arguments, "--format", "json"))
-    found = joulebus.evaluate(files[:6], MODEL, split="trial", leave_out=[str(files[5])], horizons=(), resamples=0, progress=False)
+    found = joulebus.evaluate(files[:6], MODEL, split="trial", leave_out=[str(files[5])], resamples=0, progress=False)
     assert found.data == told
-    fitted = joulebus.evaluate(files[5], MODEL, fit=files[:4], horizons=(), resamples=0, progress=False)
-    arguments = ["--model", MODEL, "--fit", *files[:4], "--horizons", "none", "--resamples", 0]
+    fitted = joulebus.evaluate(files[5], MODEL, fit=files[:4], resamples=0, progress=False)
+    arguments = ["--model", MODEL, "--fit", *files[:4], "--resamples", 0]
     assert fitted.data == json.loads(run("eval", files[5], *arguments, "--format", "json"))
     # Trials in memory have the numbers of their files but for the rounding of mW in them.
     memory = joulebus.evaluate(
-        simulation.trials[5], MODEL, fit=simulation.trials[:4], horizons=(), resamples=0, progress=False
+        simulation.trials[5], MODEL, fit=simulation.trials[:4], resamples=0, progress=False
     )
     for name, scores in fitted.scores.items():
         assert memory.scores[name]["r2"]["value"] == pytest.approx(scores["r2"]["value"], rel=1e-4), name
@@ -210,7 +209,6 @@ def test_what_is_wrong_is_refused_with_what_is_allowed(files, simulation, tmp_pa
         (TypeError, "allowed are paths, builtin:NAME and Predictor", lambda: joulebus.evaluate(trial, model=[7])),
         (ValueError, "found no recording", lambda: joulebus.evaluate([])),
         (ValueError, "found no model", lambda: joulebus.evaluate(trial, model=[])),
-        (ValueError, "horizon 3 after 10", lambda: joulebus.evaluate(trial, horizons=[10, 3])),
         (ValueError, "leave_out needs split", lambda: joulebus.evaluate(trial, leave_out=["a"])),
         (ValueError, "lags = 0", lambda: joulebus.analyze(trial, lags=0)),
         (ValueError, "unknown variant `sum`", lambda: joulebus.analyze(trial, resample=["sum"])),

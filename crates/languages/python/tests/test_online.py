@@ -42,7 +42,7 @@ def stream(trial: joulebus.Trial):
 @pytest.mark.parametrize("name", ["gternal-sim", "gternal-sim-power"])
 def test_forecasts_and_intervals_have_the_bits_of_a_fleet(trials, name):
     # The live path of `evaluate` is the fleet's tick, robot by robot.
-    found = joulebus.evaluate(trials, str(model_file(name)), horizons=(), resamples=0, progress=False)
+    found = joulebus.evaluate(trials, str(model_file(name)), resamples=0, progress=False)
     forecaster = joulebus.OnlineForecaster(joulebus.Predictor(str(model_file(name))), **PLATFORM)
     held_somewhere = False
     for robot, (trial, series) in enumerate(zip(trials, found.series)):
@@ -70,7 +70,7 @@ def test_missing_readings_are_bridged_with_the_bits_of_a_fleet(trials):
     measured = ("power_w", "voltage_v", "current_a")
     columns = {name: np.where(missing & (name in measured), np.nan, values) for name, values in trials[1].columns.items()}
     trial = joulebus.Trial(columns, "7", "gaps")
-    found = joulebus.evaluate(trial, "builtin:gternal-sim", horizons=(), resamples=0, progress=False).series[0]
+    found = joulebus.evaluate(trial, "builtin:gternal-sim", resamples=0, progress=False).series[0]
     forecaster = joulebus.OnlineForecaster(joulebus.Predictor(), **PLATFORM)
     made, lags, unread = np.empty((0, 3), np.float32), np.full(5, np.nan, np.float32), 0
     for row, reading_w, gone, again in zip(rows, np.where(missing, np.nan, power_w), missing, held):

@@ -9,8 +9,6 @@ pub(crate) struct Sums {
     pub(crate) blocks: Vec<Block>,
     /// Residuals of each forecaster, W. Of scored rows only.
     pub(crate) residuals_w: Vec<Vec<f32>>,
-    /// One entry per horizon.
-    pub(crate) horizons: Vec<HorizonSums>,
 }
 
 /// A block of consecutive rows.
@@ -21,15 +19,6 @@ pub(crate) struct Block {
     pub(crate) forecasters: Vec<Tally>,
     /// One entry per model, and per reference with intervals.
     pub(crate) intervals: Vec<CoverageTally>,
-}
-
-/// All origins at one horizon. One entry per forecaster.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct HorizonSums {
-    /// The reading at the horizon.
-    pub(crate) power: Vec<Tally>,
-    /// The energy up to the horizon, in J instead of W.
-    pub(crate) energy: Vec<Tally>,
 }
 
 impl Block {
@@ -105,50 +94,5 @@ impl Draws {
             forecasters: tallies.iter().map(tally).collect(),
             intervals: intervals.iter().map(CoverageTally::of_additive).collect(),
         }
-    }
-}
-
-impl HorizonSums {
-    /// Blocks without any origin.
-    pub(crate) fn new(forecasters: usize) -> Self {
-        Self {
-            power: vec![Tally::default(); forecasters],
-            energy: vec![Tally::default(); forecasters],
-        }
-    }
-
-    /// True if there is any origin.
-    pub(crate) fn reaches(&self) -> bool {
-        self.power.first().is_some_and(|tally| tally.count() > 0)
-    }
-
-    /// Powers and then energies as the forecasters of a block.
-    pub(crate) fn block(&self) -> Block {
-        Block {
-            forecasters: self.power.iter().chain(&self.energy).copied().collect(),
-            intervals: Vec::new(),
-        }
-    }
-
-    fn merge(&mut self, other: &HorizonSums) {
-        if self.power.is_empty() {
-            self.clone_from(other);
-            return;
-        }
-        for (own, other) in self.power.iter_mut().zip(&other.power) {
-            own.merge(other);
-        }
-        for (own, other) in self.energy.iter_mut().zip(&other.energy) {
-            own.merge(other);
-        }
-    }
-
-    /// The sum of some horizons' sums, in order.
-    pub(crate) fn merged<'a>(sums: impl IntoIterator<Item = &'a HorizonSums>) -> HorizonSums {
-        let mut merged = HorizonSums::default();
-        for sums in sums {
-            merged.merge(sums);
-        }
-        merged
     }
 }

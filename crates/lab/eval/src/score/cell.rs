@@ -5,9 +5,9 @@ use std::io;
 use serde::Serialize;
 
 use super::Options;
-use super::blocks::{Block, Draws, HorizonSums};
+use super::blocks::{Block, Draws};
 use super::tallied::{ConstantInterval, Set, Tallied};
-use joulebus_statistics::bootstrap::{Bootstrap, Estimate};
+use joulebus_statistics::bootstrap::Estimate;
 use joulebus_statistics::metrics::{Coverage, CoverageTally, ResidualQuantiles, Tally};
 
 /// Scores of a set of recordings in corrected mode: all of them, a group, a robot or a trial. Their
@@ -131,63 +131,13 @@ impl IntervalScore {
     }
 }
 
-/// The open-loop scores of a set of recordings.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct HorizonCell {
-    /// `all`, or the name of the group, robot or trial.
-    pub name: String,
-    /// Trials. A whole trial is a block of the confidence intervals.
-    pub trials: usize,
-    /// One entry per horizon.
-    pub horizons: Vec<Horizon>,
-}
-
-/// One horizon: the reading `ticks` after the origin's last one.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Horizon {
-    /// Ticks ahead. 1 is the corrected forecast.
-    pub ticks: usize,
-    /// The same in seconds, at the recordings' median period.
-    pub seconds: f64,
-    /// Rollouts that reach this horizon.
-    pub origins: u64,
-    /// Rollouts left out because a model has no forecast.
-    pub unscored: u64,
-    /// The models, persistence, the linear baselines.
-    pub forecasters: Vec<HorizonScore>,
-}
-
-/// One forecaster at one horizon.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct HorizonScore {
-    /// Its name.
-    pub name: String,
-    /// Coefficient of determination, about the mean of the readings at this horizon.
-    pub r2: Estimate,
-    /// Root of the mean squared residual, W.
-    pub rmse_w: Estimate,
-    /// Mean absolute residual, W.
-    pub mae_w: Estimate,
-    /// Mean residual, W.
-    pub bias_w: f64,
-    /// Energy up to the horizon: mean of |forecast − measured| / |measured| over the rollouts,
-    /// share.
-    pub energy_mape: f64,
-    /// Energy up to the horizon, summed over the rollouts: (forecast − measured) / measured, share.
-    pub energy_error: Estimate,
-    /// Against persistence, and against each linear baseline.
-    pub skill: Vec<Skill>,
-}
-
 /// Names of the forecasters, and which of them are models and which baselines. The others are
 /// members.
 #[derive(Debug, Clone, PartialEq)]
 pub(crate) struct Names {
     pub(crate) forecasters: Vec<String>,
-    /// Names in open loop, where each model is its network alone and there are no members.
-    pub(crate) open_loop: Vec<String>,
     pub(crate) models: usize,
-    /// Persistence, the linear baselines, and the references, which are not scored in open loop.
+    /// Persistence, the linear baselines, and the references.
     pub(crate) baselines: usize,
     /// Forecasters with intervals.
     pub(crate) intervals: Vec<usize>,
@@ -201,8 +151,8 @@ impl Names {
         self.models..self.models + self.baselines
     }
 
-    fn against(&self, of: usize, among: usize) -> impl Iterator<Item = usize> + use<> {
-        self.references().filter(move |reference| *reference != of && *reference < among)
+    fn against(&self, of: usize) -> impl Iterator<Item = usize> + use<> {
+        self.references().filter(move |reference| *reference != of)
     }
 
     /// The interval of a forecaster.
@@ -221,13 +171,8 @@ impl Names {
         }
     }
 
-    /// The skills of one of the first `among` forecasters.
-    fn skills(
-        &self,
-        (of, among): (usize, usize),
-        estimates: &mut impl Iterator<Item = Estimate>,
-    ) -> Vec<Skill> {
-        let against = self.against(of, among);
+    fn skills(&self, of: usize, estimates: &mut impl Iterator<Item = Estimate>) -> Vec<Skill> {
+        let against = self.against(of);
         let named = against.map(|reference| self.forecasters[reference].clone());
         named.zip(estimates).map(|(against, skill)| Skill { against, skill }).collect()
     }
@@ -245,7 +190,8 @@ fn statistics(block: &Block, names: &Names) -> Vec<f64> {
             tally.bias_w(),
             tally.energy_error(),
         ]);
-        push_skills(&mut found, &block.forecasters, at, names);
+        let skill = |reference: usize| tally.skill(&block.forecasters[reference]);
+        found.extend(names.against(at).map(skill));
         if let Some(interval) = names.interval(block, at) {
             found.extend([
                 interval.coverage(),
@@ -255,11 +201,6 @@ fn statistics(block: &Block, names: &Names) -> Vec<f64> {
         }
     }
     found
-}
-
-fn push_skills(found: &mut Vec<f64>, tallies: &[Tally], at: usize, names: &Names) {
-    let against = names.against(at, tallies.len());
-    found.extend(against.map(|reference| tallies[at].skill(&tallies[reference])));
 }
 
 /// The table of a set of recordings.
@@ -282,8 +223,7 @@ pub(crate) fn cell(
         // There are as many estimates as statistics.
         let mut next = || estimates.next().unwrap_or(Estimate::alone(f64::NAN));
         let [r2, rmse_w, mae_w, bias_w, energy_error] = std::array::from_fn(|_| next());
-        let among = (at, whole.forecasters.len());
-        let skill = names.skills(among, &mut std::iter::from_fn(|| Some(next())));
+        let skill = names.skills(at, &mut std::iter::from_fn(|| Some(next())));
         let interval = names.interval(&whole, at).map(|interval| {
             let estimates = std::array::from_fn(|_| next());
             IntervalScore::new(interval.coverage_of(names.nominal), mae_w.value, estimates)
@@ -317,69 +257,4 @@ pub(crate) fn cell(
         blocks: Blocks { count: blocks.len(), whole_trials },
         forecasters,
     })
-}
-
-/// The open-loop table of a set of recordings. Rollouts overlap, so only whole trials are
-/// resampled.
-pub(crate) fn horizon_cell(
-    tallied: &Tallied,
-    set: &Set,
-    names: &Names,
-    options: &Options,
-) -> HorizonCell {
-    let period_s = tallied.period_s();
-    let horizons = options.horizons.iter().enumerate();
-    let horizons = horizons.map(|(place, &ticks)| {
-        horizon(tallied.horizon(set, place), ticks, period_s, names, &options.bootstrap)
-    });
-    HorizonCell { name: set.name.clone(), trials: set.trials(), horizons: horizons.collect() }
-}
-
-fn horizon(
-    mut trials: Vec<HorizonSums>,
-    ticks: usize,
-    period_s: f64,
-    names: &Names,
-    bootstrap: &Bootstrap,
-) -> Horizon {
-    let whole = HorizonSums::merged(&trials);
-    // Trials too short for the horizon are ignored.
-    trials.retain(HorizonSums::reaches);
-    let blocks: Vec<Block> = trials.iter().map(HorizonSums::block).collect();
-    let draws = Draws::new(&blocks);
-    let estimates = bootstrap.estimate(blocks.len(), |drawn| {
-        let drawn = draws.merged(drawn).forecasters;
-        let (powers, energies) = drawn.split_at(drawn.len() / 2);
-        let mut found = Vec::with_capacity(8 * drawn.len());
-        for (at, (power, energy)) in powers.iter().zip(energies).enumerate() {
-            found.extend([power.r2(), power.rmse_w(), power.mae_w(), energy.energy_error()]);
-            push_skills(&mut found, powers, at, names);
-        }
-        found
-    });
-    let mut estimates = estimates.into_iter();
-    let mut next = || estimates.next().unwrap_or(Estimate::alone(f64::NAN));
-    let pairs = whole.power.iter().zip(&whole.energy).enumerate();
-    let forecasters = pairs.map(|(at, (power, energy))| {
-        let [r2, rmse_w, mae_w, energy_error] = std::array::from_fn(|_| next());
-        HorizonScore {
-            name: names.open_loop[at].clone(),
-            r2,
-            rmse_w,
-            mae_w,
-            bias_w: power.bias_w(),
-            energy_mape: energy.mape(),
-            energy_error,
-            skill: names.skills((at, whole.power.len()), &mut std::iter::from_fn(|| Some(next()))),
-        }
-    });
-    let forecasters = forecasters.collect();
-    let first = whole.power.first().copied().unwrap_or_default();
-    Horizon {
-        ticks,
-        seconds: ticks as f64 * period_s,
-        origins: first.count(),
-        unscored: first.unscored(),
-        forecasters,
-    }
 }

@@ -33,7 +33,7 @@ pub struct ModelReport {
     pub name: String,
     /// Its hash, hexadecimal.
     pub hash: String,
-    /// The origin of the forecast that was scored one tick ahead. Open loop is the network's alone.
+    /// The origin of the forecast that was scored one tick ahead.
     pub forecast: Forecast,
     /// Names of the forecast's members in the tables. Empty for a single forecaster.
     pub members: Vec<String>,
@@ -110,15 +110,13 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
             false => model.name().to_owned(),
         }
     };
-    let of = |forecast: &dyn Fn(&Model) -> Forecast| -> Vec<String> {
-        let named = models.iter().map(|model| match forecast(model) {
-            Forecast::Persistence => "persistence (model)".to_owned(),
-            forecast => format!("{} ({forecast})", base(model)),
-        });
-        let baselines = options.baselines.iter().map(ToString::to_string);
-        named.chain(["persistence".to_owned()]).chain(baselines).collect()
-    };
-    let mut forecasters = of(&|model| subject.forecast(model));
+    let named = models.iter().map(|model| match subject.forecast(model) {
+        Forecast::Persistence => "persistence (model)".to_owned(),
+        forecast => format!("{} ({forecast})", base(model)),
+    });
+    let baselines = options.baselines.iter().map(ToString::to_string);
+    let mut forecasters: Vec<String> =
+        named.chain(["persistence".to_owned()]).chain(baselines).collect();
     let first = forecasters.len();
     forecasters.extend(options.references.iter().map(ToString::to_string));
     let references = options.references.iter().enumerate();
@@ -131,7 +129,6 @@ fn names(subject: Subject<'_>, options: &Options) -> Names {
         .extend(members.map(|(at, member)| format!("{} ({})", base(&models[at]), member.name())));
     Names {
         forecasters,
-        open_loop: of(&|model| Forecast::new(model, false)),
         models: models.len(),
         baselines,
         intervals,

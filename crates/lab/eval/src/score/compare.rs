@@ -5,7 +5,7 @@ use std::fmt;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::blocks::{Block, Draws, HorizonSums};
+use super::blocks::{Block, Draws};
 use super::cell::Role;
 use super::common::ModelReport;
 use super::design::DesignReport;
@@ -53,8 +53,6 @@ pub struct Comparison {
     pub robots: Vec<Difference>,
     /// Differences by trial. Empty if there is only one.
     pub trials: Vec<Difference>,
-    /// Open loop, all recordings.
-    pub open_loop: Vec<HorizonDifference>,
 }
 
 /// A member of a published forecast, on all recordings.
@@ -115,23 +113,6 @@ pub struct Side {
     pub width_w: f64,
     /// Skill against persistence.
     pub skill_persistence: f64,
-}
-
-/// The two models at one horizon.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct HorizonDifference {
-    /// Ticks ahead.
-    pub ticks: usize,
-    /// Rollouts that reach this horizon.
-    pub origins: u64,
-    /// Mean absolute residual of the old model, W.
-    pub old_mae_w: f64,
-    /// Mean absolute residual of the new model, W.
-    pub new_mae_w: f64,
-    /// Their difference, W.
-    pub mae_w: Estimate,
-    /// 1 − ratio of the new model's mean squared error to the old one's.
-    pub skill: Estimate,
 }
 
 /// Verdict: whether the confidence interval of the new model's skill against the old one excludes
@@ -215,7 +196,6 @@ pub fn compare(subject: Subject<'_>, options: &Options) -> Result<Comparison, Sc
         groups: differences(blocks.groups()),
         robots: differences(blocks.robots()),
         trials: differences(blocks.trials()),
-        open_loop: open_loop(&blocks, &options),
     })
 }
 
@@ -270,32 +250,4 @@ where
     let resamples = if trials < FEWEST_TRIALS { 0 } else { bootstrap.resamples };
     let estimates = Bootstrap { resamples, ..*bootstrap }.estimate(trials, statistics);
     estimates.into_iter().map(|estimate| estimate.widened_for(trials)).collect()
-}
-
-fn open_loop(tallied: &Tallied, options: &Options) -> Vec<HorizonDifference> {
-    let all = tallied.all();
-    let each = options.horizons.iter().enumerate();
-    each.map(|(place, &ticks)| {
-        let mut reaching = tallied.horizon(&all, place);
-        reaching.retain(HorizonSums::reaches);
-        let blocks: Vec<Block> = reaching.iter().map(HorizonSums::block).collect();
-        let draws = Draws::new(&blocks);
-        let estimates = of_trials(&options.bootstrap, blocks.len(), |drawn| {
-            match draws.merged(drawn).forecasters.as_slice() {
-                [old, new, ..] => vec![new.mae_w() - old.mae_w(), new.skill(old)],
-                _ => vec![f64::NAN; 2],
-            }
-        });
-        let whole = HorizonSums::merged(&reaching).power;
-        let of = |at: usize| whole.get(at).copied().unwrap_or_default();
-        HorizonDifference {
-            ticks,
-            origins: of(OLD).count(),
-            old_mae_w: of(OLD).mae_w(),
-            new_mae_w: of(NEW).mae_w(),
-            mae_w: estimates[0],
-            skill: estimates[1],
-        }
-    })
-    .collect()
 }

@@ -10,7 +10,7 @@ use super::blocks::{Block, Sums};
 use super::design::Lines;
 use super::members::Member;
 use super::references::{Learned, forecasts_w};
-use super::{Contents, Options, ScoreError, Subject, open_loop, recorded_platform};
+use super::{Contents, Options, ScoreError, Subject, recorded_platform};
 use crate::energy::{EVERY, EnergyScores, observe_all, untried};
 use crate::evaluate::{RobotEvaluation, evaluate_trial};
 use joulebus_dataset::trial::Trial;
@@ -32,7 +32,7 @@ type ReferenceColumn = (bool, Vec<[f64; 3]>);
 pub(super) struct Found<T> {
     /// Sums of the evaluated rows.
     pub(super) sums: Sums,
-    /// Sums of the rows that a model was trained on, without open loop.
+    /// Sums of the rows that a model was trained on.
     pub(super) trained_on: Sums,
     /// Results of the live path of each model.
     pub(super) live: Vec<T>,
@@ -65,7 +65,6 @@ pub(super) fn one<T>(
     for live in &mut live {
         subject.design.restrict(at, contents, live);
     }
-    // Their steps are gone before the rollouts.
     let live = live.into_iter().filter(|_| !parts.is_empty()).map(keep);
     let live = live.collect();
     let members = Member::of(subject).into_iter();
@@ -92,11 +91,8 @@ pub(super) fn one<T>(
         }
         Ok::<_, ScoreError>(sums)
     };
-    let mut sums = sums_of(&parts)?;
-    let before = subject.design.evaluated_before(at);
-    sums.horizons = open_loop::sums(subject.models, contents, (&parts, before), lines, options);
     Ok(Found {
-        sums,
+        sums: sums_of(&parts)?,
         trained_on: sums_of(&apart)?,
         live,
         energy: match options.energy {

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use serde::Serialize;
 
-use super::references::{Differences, Learned};
+use super::references::Learned;
 use super::{Recording, Reference, ScoreError, each, sources};
 use joulebus_dataset::rows::TrialRows;
 use joulebus_dataset::split::{
@@ -209,13 +209,6 @@ impl Design {
         })
     }
 
-    /// Evaluated rows of the recordings before one.
-    pub(super) fn evaluated_before(&self, recording: usize) -> usize {
-        let parts = self.folds.iter().flat_map(|fold| &fold.evaluated);
-        let before = parts.filter(|part| part.0 < recording);
-        before.map(|part| part.1.len()).sum()
-    }
-
     /// The design in numbers.
     pub fn report(&self) -> DesignReport {
         let rows = |of: fn(&Fold) -> &Vec<Part>| -> usize {
@@ -380,15 +373,6 @@ pub(super) fn fit_references(
                         line.miss(*terms, missing);
                     }
                     Learned::Ridge(line)
-                };
-                design.folds.iter().map(of_fold).collect()
-            }
-            Reference::Seasonal => {
-                let found = fitted.map(true, Differences::new)?;
-                let of_fold = |fold| {
-                    let mut all = Differences::none();
-                    parts(fold).iter().for_each(|at| all.merge(&found[*at]));
-                    Learned::Season(all.season())
                 };
                 design.folds.iter().map(of_fold).collect()
             }

@@ -8,9 +8,6 @@ use joulebus_train::linear::LinearError;
 
 use crate::evaluate::EvaluateError;
 
-/// Maximum horizon of an evaluation, ticks.
-pub const MAX_HORIZON: usize = 300;
-
 /// Errors of scoring.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
@@ -26,8 +23,6 @@ pub enum ScoreError {
          recordings"
     )]
     NoRows { recordings: usize, rows: usize },
-    #[error("horizon {found} after {before}: allowed are 1 to {MAX_HORIZON} ticks, ascending")]
-    Horizon { found: usize, before: usize },
     #[error("{what} is {found}, allowed is {allowed}")]
     Option { what: &'static str, found: f64, allowed: &'static str },
     #[error(

@@ -6,7 +6,7 @@ use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
 
-use joulebus_dataset::rows::{Row, TrialRows};
+use joulebus_dataset::rows::Row;
 use joulebus_predictor::FeatureSet;
 use joulebus_train::linear::{Linear, Terms};
 use serde::Deserialize;
@@ -15,16 +15,12 @@ use super::{Contents, ScoreError};
 
 /// Position of the newest reading in the features.
 const NEWEST: usize = FeatureSet::PowerOnly.first();
-/// The longest season, ticks.
-const MAX_SEASON: usize = 512;
 
 /// A forecaster to compare with.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reference {
     /// The mean of the robot's readings so far.
     Mean,
-    /// The reading one season before. The newest one where there is no season or none before.
-    Seasonal,
     /// Ridge regression.
     Ridge(Terms),
     /// Another program's forecasts.
@@ -33,14 +29,13 @@ pub enum Reference {
 
 impl Reference {
     /// The references that need no other program.
-    pub const OWN: [Self; 3] = [Self::Mean, Self::Seasonal, Self::Ridge(Terms::AR5_AND_VELOCITIES)];
+    pub const OWN: [Self; 2] = [Self::Mean, Self::Ridge(Terms::AR5_AND_VELOCITIES)];
 }
 
 impl fmt::Display for Reference {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Mean => out.write_str("mean so far"),
-            Self::Seasonal => out.write_str("seasonal"),
             Self::Ridge(terms) => write!(out, "ridge, {terms}"),
             Self::Foreign(foreign) => out.write_str(&foreign.name),
         }
@@ -137,8 +132,6 @@ impl Foreign {
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum Learned {
     Nothing,
-    /// Ticks, if the readings have a season.
-    Season(Option<usize>),
     /// `None` if there are too few rows.
     Ridge(Option<Linear>),
 }
@@ -158,16 +151,6 @@ pub(super) fn forecasts_w(
             .iter()
             .map(|row| alone(line.as_ref().map_or(f64::NAN, |line| line.predict(&row.features))))
             .collect(),
-        (_, Learned::Season(season)) => {
-            let before = |at: usize| {
-                let earlier = at.checked_sub((*season)?)?;
-                follows(&contents.rows, earlier, at).then(|| rows[earlier].target_w)
-            };
-            let newest = |at: usize| rows[at].features[NEWEST];
-            (0..rows.len())
-                .map(|at| alone(before(at).unwrap_or_else(|| newest(at)).into()))
-                .collect()
-        }
         _ => {
             let mut sum_w = 0.0;
             let mean = |(at, row): (usize, &Row)| {
@@ -183,94 +166,5 @@ impl Reference {
     /// True if it has intervals.
     pub(super) fn has_interval(&self) -> bool {
         matches!(self, Self::Foreign(foreign) if foreign.has_interval)
-    }
-}
-
-/// True if no gap lies between two rows.
-fn follows(rows: &TrialRows, earlier: usize, later: usize) -> bool {
-    let [before, after] = [earlier, later].map(|at| rows.sample_seq[at]);
-    after - before == (later - earlier) as u64
-}
-
-/// Squared differences of readings some ticks apart, of which the season follows.
-#[derive(Debug, Clone)]
-pub(super) struct Differences {
-    /// Number, sum and sum of squares of the readings.
-    readings: [f64; 3],
-    /// For each distance from 1: number and sum of squared differences.
-    at: Vec<[f64; 2]>,
-}
-
-impl Differences {
-    pub(super) fn none() -> Self {
-        Self { readings: [0.0; 3], at: vec![[0.0; 2]; MAX_SEASON] }
-    }
-
-    /// The sums of some rows of a trial.
-    pub(super) fn new(rows: &TrialRows, part: Range<usize>) -> Self {
-        let mut found = Self::none();
-        for later in part.clone() {
-            let later_w = f64::from(rows.rows[later].target_w);
-            for (sum, value) in found.readings.iter_mut().zip([1.0, later_w, later_w * later_w]) {
-                *sum += value;
-            }
-            for (distance, sums) in (1..).zip(&mut found.at) {
-                let Some(earlier) = later.checked_sub(distance).filter(|at| *at >= part.start)
-                else {
-                    break;
-                };
-                if !follows(rows, earlier, later) {
-                    break;
-                }
-                let apart_w = later_w - f64::from(rows.rows[earlier].target_w);
-                *sums = [sums[0] + 1.0, sums[1] + apart_w * apart_w];
-            }
-        }
-        found
-    }
-
-    pub(super) fn merge(&mut self, other: &Self) {
-        let sums = self.readings.iter_mut().zip(other.readings);
-        sums.for_each(|(sum, other)| *sum += other);
-        let sums = self.at.iter_mut().zip(&other.at);
-        sums.for_each(|(sum, other)| *sum = [sum[0] + other[0], sum[1] + other[1]]);
-    }
-
-    /// The distance of the highest autocorrelation after the first that is not above 0, if that
-    /// autocorrelation is above 0.
-    pub(super) fn season(&self) -> Option<usize> {
-        let [count, sum, squares] = self.readings;
-        let variance = squares / count - (sum / count) * (sum / count);
-        // Few pairs prove little.
-        let pairs = self.at.iter().take_while(|[pairs, _]| *pairs > 0.1 * count);
-        let correlation = pairs.map(|[pairs, squares]| 1.0 - squares / pairs / (2.0 * variance));
-        let after = (1..).zip(correlation).skip_while(|(_, correlation)| *correlation > 0.0);
-        let best = after.reduce(|best, next| if next.1 > best.1 { next } else { best })?;
-        (best.1 > 0.0).then_some(best.0)
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use joulebus_predictor::INPUTS;
-
-    use super::*;
-
-    #[test]
-    fn the_season_of_a_wave_is_its_period_and_steps_at_random_have_none() {
-        let rows = |power_w: &dyn Fn(usize) -> f64| TrialRows {
-            rows: (0..2_000).map(|at| Row::new([0.0; INPUTS], power_w(at) as f32)).collect(),
-            sample_seq: (0..2_000).collect(),
-            ..TrialRows::default()
-        };
-        let season = |rows: &TrialRows| {
-            let mut all = Differences::new(rows, 0..1_000);
-            all.merge(&Differences::new(rows, 1_000..2_000));
-            all.season()
-        };
-        let wave = rows(&|at| 50.0 + (at as f64 * std::f64::consts::TAU / 90.0).sin());
-        assert_eq!(season(&wave).map(|ticks| ticks % 90), Some(0));
-        assert_eq!(season(&rows(&|_| 5.0)), None);
-        assert_eq!(season(&rows(&|at| at as f64)), None);
     }
 }

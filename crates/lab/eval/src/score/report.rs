@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::Options;
-use super::cell::{Cell, HorizonCell, cell, horizon_cell};
+use super::cell::{Cell, cell};
 use super::common::{BaselineReport, Common, ModelReport};
 use super::design::DesignReport;
 use super::tallied::{Set, Tallied};
@@ -47,17 +47,6 @@ pub struct ScoreReport {
     pub robots: Vec<Cell>,
     /// Cells by trial. Empty if there is only one.
     pub trials: Vec<Cell>,
-    /// Rows from one origin of the open loop to the next. At shorter horizons, as many as the
-    /// horizon has ticks.
-    pub origins_every: usize,
-    /// Open loop, all recordings.
-    pub open_loop: HorizonCell,
-    /// Cells by group. Empty if there is only one.
-    pub open_loop_groups: Vec<HorizonCell>,
-    /// Cells by robot. Empty if there is only one.
-    pub open_loop_robots: Vec<HorizonCell>,
-    /// Cells by trial. Empty if there is only one.
-    pub open_loop_trials: Vec<HorizonCell>,
 }
 
 /// The tables, from sums of the recordings and each model's forecasts of energy.
@@ -72,24 +61,15 @@ pub(super) fn report(
 ) -> io::Result<ScoreReport> {
     let Common { mut models, names, .. } = common;
     let names = &names;
-    let tables = |sets: Vec<Set>| -> io::Result<(Vec<Cell>, Vec<HorizonCell>)> {
+    let tables = |sets: Vec<Set>| -> io::Result<Vec<Cell>> {
         let sets = if sets.len() > 1 { sets } else { Vec::new() };
-        let of = |set: &Set| {
-            let horizons = horizon_cell(tallied, set, names, options);
-            Ok((cell(tallied, set, names, options)?, horizons))
-        };
-        let found: io::Result<Vec<_>> = sets.par_iter().map(of).collect();
-        Ok(found?.into_iter().unzip())
+        sets.par_iter().map(|set| cell(tallied, set, names, options)).collect()
     };
     for (model, scores) in models.iter_mut().zip(energy) {
         model.energy = Some(scores.errors());
     }
     let stated = models.iter();
     let stated = stated.map(|model| (model.name.as_str(), model.trained_on));
-    let all = tallied.all();
-    let (groups, open_loop_groups) = tables(tallied.groups())?;
-    let (robots, open_loop_robots) = tables(tallied.robots())?;
-    let (trials, open_loop_trials) = tables(tallied.trials())?;
     let trained_on = (apart.rows() > 0).then(|| cell(apart, &apart.all(), names, options));
     Ok(ScoreReport {
         platform: common.platform,
@@ -101,15 +81,10 @@ pub(super) fn report(
         baselines: common.baselines,
         bootstrap: options.bootstrap,
         period_s: tallied.period_s(),
-        all: cell(tallied, &all, names, options)?,
+        all: cell(tallied, &tallied.all(), names, options)?,
         trained_on: trained_on.transpose()?,
-        groups,
-        robots,
-        trials,
-        origins_every: options.origins_every,
-        open_loop: horizon_cell(tallied, &all, names, options),
-        open_loop_groups,
-        open_loop_robots,
-        open_loop_trials,
+        groups: tables(tallied.groups())?,
+        robots: tables(tallied.robots())?,
+        trials: tables(tallied.trials())?,
     })
 }

@@ -7,7 +7,7 @@ use std::ops::Range;
 use serde::Serialize;
 
 use super::Recording;
-use super::blocks::{Block, HorizonSums, Sums};
+use super::blocks::{Block, Sums};
 use super::kept::Kept;
 use joulebus_statistics::bootstrap::Bootstrap;
 use joulebus_statistics::metrics::{CoverageTally, ResidualQuantiles, Tally};
@@ -41,8 +41,6 @@ pub(crate) struct Tallied {
 struct Named {
     listed: Listed,
     blocks: Vec<Block>,
-    /// One entry per horizon.
-    horizons: Vec<HorizonSums>,
     /// Positions of the residuals of each forecaster.
     residuals: Vec<Range<u64>>,
 }
@@ -94,7 +92,7 @@ impl Tallied {
     /// # Errors
     /// The recording's residuals cannot be kept in a temporary file.
     pub(crate) fn push(&mut self, listed: &Listed, sums: Sums) -> io::Result<()> {
-        let Sums { mut blocks, residuals_w, horizons } = sums;
+        let Sums { mut blocks, residuals_w } = sums;
         if blocks.is_empty() {
             return Ok(());
         }
@@ -104,7 +102,7 @@ impl Tallied {
         let residuals = residuals_w.iter().map(|own| self.residuals.push(own));
         let residuals = residuals.collect::<io::Result<_>>()?;
         self.blocks += blocks.len();
-        self.recordings.push(Named { listed: listed.clone(), blocks, horizons, residuals });
+        self.recordings.push(Named { listed: listed.clone(), blocks, residuals });
         // A recording keeps one block, however many there are.
         while self.blocks > MAX_BLOCKS.max(2 * self.recordings.len()) {
             self.joined += 1;
@@ -210,14 +208,5 @@ impl Tallied {
         each(&mut |residual_w| interval.add(residual_w.into(), quantiles.q05_w, quantiles.q95_w))?;
         let (width_w, score_w) = (interval.width_w(), interval.score_w(0.9));
         Ok((quantiles, ConstantInterval { width_w, score_w }))
-    }
-
-    /// The sums of each trial at one horizon.
-    pub(crate) fn horizon(&self, set: &Set, place: usize) -> Vec<HorizonSums> {
-        let sums = |trial: &Vec<usize>| {
-            let recordings = trial.iter().map(|at| &self.recordings[*at]);
-            HorizonSums::merged(recordings.filter_map(|named| named.horizons.get(place)))
-        };
-        set.trials.iter().map(sums).collect()
     }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt::{self, Formatter};
 
-use super::cell::{Cell, ForecasterScore, HorizonCell, Role, Skill};
+use super::cell::{Cell, ForecasterScore, Role, Skill};
 use super::common::ModelReport;
 use super::compare::{Comparison, Difference};
 use super::design::DesignReport;
@@ -38,7 +38,6 @@ impl fmt::Display for ScoreReport {
         write_cells(out, "group", &self.groups)?;
         write_cells(out, "robot", &self.robots)?;
         write_trials(out, &self.trials)?;
-        write_horizons(out, &self.open_loop, self.origins_every)?;
         for model in &self.models {
             write_energy(out, model)?;
         }
@@ -83,7 +82,7 @@ fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt:
         [] => writeln!(out)?,
         members => writeln!(
             out,
-            ", learned for each robot from {}; open loop: the network alone",
+            ", learned for each robot from {}",
             members.join(", ")
         )?,
     }
@@ -358,43 +357,6 @@ fn write_trials(out: &mut Formatter<'_>, trials: &[Cell]) -> fmt::Result {
     )
 }
 
-fn write_horizons(out: &mut Formatter<'_>, cell: &HorizonCell, every: usize) -> fmt::Result {
-    let Some(first) = cell.horizons.first() else {
-        return Ok(());
-    };
-    writeln!(
-        out,
-        "\nOpen loop: fed with its own forecasts, commands known. A rollout every {every} rows, \
-            every h rows \
-         at h < {every} ticks"
-    )?;
-    write_headings(
-        out,
-        &format!("{:>6} {:>7} {:>8}", "ticks", "s", "rollouts"),
-        first.forecasters.iter().map(|one| one.name.as_str()),
-        "skill vs persistence        energy %",
-    )?;
-    for horizon in &cell.horizons {
-        write!(out, "{:>6} {:>7.2} {:>8}", horizon.ticks, horizon.seconds, horizon.origins)?;
-        for one in &horizon.forecasters {
-            write_accuracy(out, one.r2, one.mae_w)?;
-        }
-        if let Some(one) = horizon.forecasters.first() {
-            write_skill(out, &one.skill)?;
-            write!(out, " {}", Number(100.0 * one.energy_mape, 6, 2))?;
-        }
-        writeln!(out)?;
-    }
-    let unscored: u64 = cell.horizons.iter().map(|horizon| horizon.unscored).sum();
-    if unscored > 0 {
-        writeln!(out, "{unscored} rollouts left out, a model has no forecast in them")?;
-    }
-    writeln!(
-        out,
-        "energy %: mean over the rollouts of |forecast − measured| / measured energy up to there"
-    )
-}
-
 fn write_energy(out: &mut Formatter<'_>, model: &ModelReport) -> fmt::Result {
     let Some(energy) = &model.energy else {
         return Ok(());
@@ -434,7 +396,6 @@ impl fmt::Display for Comparison {
         {
             write_differences(out, what, differences)?;
         }
-        self.write_open_loop(out)?;
         writeln!(
             out,
             "\nskill: 1 − squared error of the new over that of the old; [ ]: {:.0} % confidence, {} \
@@ -443,35 +404,6 @@ impl fmt::Display for Comparison {
             self.bootstrap.resamples,
             self.bootstrap.seed
         )
-    }
-}
-
-impl Comparison {
-    fn write_open_loop(&self, out: &mut Formatter<'_>) -> fmt::Result {
-        if self.open_loop.is_empty() {
-            return Ok(());
-        }
-        writeln!(out, "\nOpen loop")?;
-        writeln!(
-            out,
-            "{:>6} {:>8} {:>10} {:>10} {:>10} {:>20} {:>8}",
-            "ticks", "rollouts", "old MAE W", "new MAE W", "Δ W", "", "skill"
-        )?;
-        for one in &self.open_loop {
-            writeln!(
-                out,
-                "{:>6} {:>8} {} {} {} {:>20} {} {}",
-                one.ticks,
-                one.origins,
-                Number(one.old_mae_w, 10, 3),
-                Number(one.new_mae_w, 10, 3),
-                Number(one.mae_w.value, 10, 4),
-                between(&one.mae_w, 1.0, 4),
-                Number(one.skill.value, 8, 4),
-                between(&one.skill, 1.0, 3),
-            )?;
-        }
-        Ok(())
     }
 }
 

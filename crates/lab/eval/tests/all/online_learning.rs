@@ -69,7 +69,6 @@ fn scores(terrain: &str) -> Option<(Cell, Vec<Cell>)> {
         design: &Design::folds(&recordings),
     };
     let options = Options {
-        horizons: Vec::new(),
         baselines: Vec::new(),
         bootstrap: Bootstrap { resamples: 0, ..Bootstrap::default() },
         ..Options::default()

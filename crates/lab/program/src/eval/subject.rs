@@ -30,9 +30,6 @@ pub(crate) struct Selection {
     /// Seed of the split and of the bootstrap
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Horizons of the open loop, ticks from 1 to 300, or none
-    #[arg(long, value_name = "TICKS", default_value = "1,3,10,30,100,300")]
-    horizons: String,
     /// Draws for confidence intervals, at most 1,000,000 (0 disables them)
     #[arg(long, value_name = "N", default_value_t = Bootstrap::default().resamples)]
     resamples: u32,
@@ -77,14 +74,10 @@ impl Selection {
         self.config.load()
     }
 
-    pub(crate) fn options(&self) -> Result<Options, UsageError> {
-        let horizons = match self.horizons.as_str() {
-            "none" => Vec::new(),
-            text => text.split(',').map(ticks).collect::<Result<_, _>>()?,
-        };
+    pub(crate) fn options(&self) -> Options {
         let (resamples, seed) = (self.resamples, self.seed);
         let bootstrap = Bootstrap { resamples, seed, ..Bootstrap::default() };
-        Ok(Options { horizons, bootstrap, ..Options::default() })
+        Options { bootstrap, ..Options::default() }
     }
 
     /// Judges what is implausible in the recordings.
@@ -153,11 +146,4 @@ impl Selection {
         })?;
         Ok(design.hold_apart(&section.recordings, models)?)
     }
-}
-
-fn ticks(text: &str) -> Result<usize, UsageError> {
-    text.trim().parse().map_err(|_| {
-        let allowed = "whole numbers of ticks with commas between them, or none";
-        UsageError(format!("--horizons {text:?}: allowed are {allowed}"))
-    })
 }

@@ -47,7 +47,7 @@ struct CompareReport {
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let models = [load(&args.old)?, load(&args.new)?];
     let config = args.asked.config()?;
-    let options = args.asked.options()?;
+    let options = args.asked.options();
     let mut comparisons = Vec::new();
     let sections = args.asked.sections(&config, true)?;
     let implausible = args.asked.judge(&sections)?;

@@ -192,9 +192,9 @@ def train(
 class Evaluation(_Result):
     """Scores of models and baselines on the same rows.
 
-    ``scores`` maps each forecaster's name to its scores in corrected mode, one tick ahead. ``horizons`` lists those of
-    the open loop. ``series`` has, for each model and trial, the readings and the live path's forecasts of them:
-    ``trial``, ``model``, ``time_s``, ``reading_w``, ``forecast_w``, ``lo_w``, ``hi_w``.
+    ``scores`` maps each forecaster's name to its scores one tick ahead. ``series`` has, for each model and trial, the
+    readings and the live path's forecasts of them: ``trial``, ``model``, ``time_s``, ``reading_w``, ``forecast_w``,
+    ``lo_w``, ``hi_w``.
     """
 
     def __init__(self, data: str, text: str, series: list[dict[str, Any]]) -> None:
@@ -202,18 +202,15 @@ class Evaluation(_Result):
         self.report: dict[str, Any] = self.data["evaluations"][0]
         self.series = series
         self.scores: dict[str, dict[str, Any]] = {one["name"]: one for one in self.report["all"]["forecasters"]}
-        self.horizons: list[dict[str, Any]] = self.report["open_loop"]["horizons"]
 
     def to_pandas(self, what: str = "scores") -> Any:
-        """A DataFrame: ``scores`` (one row for each set of rows and forecaster), ``horizons`` or ``series``. Needs
-        pandas."""
+        """A DataFrame: ``scores`` (one row for each set of rows and forecaster) or ``series``. Needs pandas."""
         pandas = needed("pandas", "data frames")
-        rows = {"scores": self._score_rows, "horizons": self._horizon_rows}
-        if what in rows:
-            return pandas.DataFrame(rows[what]())
+        if what == "scores":
+            return pandas.DataFrame(self._score_rows())
         if what == "series":
             return pandas.concat([pandas.DataFrame(one) for one in self.series], ignore_index=True)
-        raise ValueError(f"what is {what!r}, allowed are scores, horizons and series")
+        raise ValueError(f"what is {what!r}, allowed are scores and series")
 
     def _score_rows(self) -> list[dict[str, Any]]:
         found = []
@@ -224,17 +221,6 @@ class Evaluation(_Result):
                 row = {"set": kind, "of": one["name"], "forecaster": scores["name"], "role": scores["role"]}
                 row |= {"rows": scores["count"], "mape": scores["mape"]}
                 for name in ("r2", "mae_w", "rmse_w", "bias_w", "energy_error"):
-                    row |= _estimate(name, scores[name])
-                found.append(row)
-        return found
-
-    def _horizon_rows(self) -> list[dict[str, Any]]:
-        found = []
-        for horizon in self.horizons:
-            for scores in horizon["forecasters"]:
-                row = {"ticks": horizon["ticks"], "seconds": horizon["seconds"], "forecaster": scores["name"]}
-                row |= {"origins": horizon["origins"], "energy_mape": scores["energy_mape"]}
-                for name in ("r2", "mae_w", "rmse_w"):
                     row |= _estimate(name, scores[name])
                 found.append(row)
         return found
@@ -253,20 +239,6 @@ class Evaluation(_Result):
         ax.legend(fontsize="small")
         return ax
 
-    def plot_horizons(self, ax: Any = None) -> Any:
-        """R² of the open loop by horizon, on `ax` or on new axes, which are returned. Needs matplotlib."""
-        ax = axes(ax)
-        names = [one["name"] for one in self.horizons[0]["forecasters"]] if self.horizons else []
-        for name, colour in zip(names, _COLOURS * len(names)):
-            scores = [next(one["r2"] for one in each["forecasters"] if one["name"] == name) for each in self.horizons]
-            value, lo, hi = (np.array([one[end] for one in scores], np.float64) for end in ("value", "lo", "hi"))
-            seconds = [each["seconds"] for each in self.horizons]
-            ax.plot(seconds, value, "o-", color=colour, label=name)
-            ax.fill_between(seconds, lo, hi, color=colour, alpha=0.15, linewidth=0.0)
-        ax.set(xlabel="horizon (s)", ylabel="R²", xscale="log")
-        ax.legend(fontsize="small")
-        return ax
-
     def __repr__(self) -> str:
         values = {name: one["r2"]["value"] for name, one in self.scores.items()}
         found = ", ".join(f"{name}: {value:.4f}" for name, value in values.items() if value is not None)
@@ -282,8 +254,6 @@ def evaluate(
     held_out: float = 0.15,
     leave_out: Sequence[str] = (),
     seed: int = 0,
-    horizons: Sequence[int] = (1, 3, 10, 30, 100, 300),
-    origins_every: int = 10,
     energy: bool = False,
     resamples: int = 1000,
     confidence: float = 0.95,
@@ -299,7 +269,6 @@ def evaluate(
     fit:       recordings that the linear baselines are fitted on. The default is cross-fitting
     split:     evaluates the held-out part of a split, as in `train` with the same recordings and seed. `held_out` is its
                share, `leave_out` names the units instead
-    horizons:  ticks of the open loop, ascending, 1 to 300 (an empty tuple disables it)
     energy:    also scores the energy of the next 1 to 300 s
     resamples, confidence, block_rows: of the confidence intervals. 0 resamples disable them
     columns, current, accept: how recordings are read, as of `train`
@@ -309,8 +278,6 @@ def evaluate(
     asked = json.dumps(
         {
             "choice": _choice(split, held_out, leave_out, seed),
-            "horizons": list(horizons),
-            "origins_every": origins_every,
             "energy": energy,
             "resamples": resamples,
             "confidence": confidence,

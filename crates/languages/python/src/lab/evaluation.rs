@@ -20,8 +20,6 @@ use crate::recordings::{Given, Reading, refused_trial};
 #[serde(deny_unknown_fields)]
 struct Asked {
     choice: Choice,
-    horizons: Vec<usize>,
-    origins_every: usize,
     energy: bool,
     resamples: u32,
     confidence: f64,
@@ -31,8 +29,6 @@ struct Asked {
 impl Asked {
     fn options(&self) -> Options {
         Options {
-            horizons: self.horizons.clone(),
-            origins_every: self.origins_every,
             energy: self.energy,
             references: Reference::OWN.to_vec(),
             bootstrap: Bootstrap {

@@ -26,7 +26,6 @@ use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
 use joulebus_train::energy_model;
 use joulebus_train::linear::{Linear, Terms};
-use proptest::prelude::*;
 use rayon::prelude::*;
 
 use super::model::{network, persistence, settings};
@@ -109,8 +108,6 @@ fn made_up_of(lengths: &[u32]) -> Vec<Recording> {
 
 fn quick() -> Options {
     Options {
-        horizons: vec![1, 4, 30],
-        origins_every: 7,
         bootstrap: Bootstrap { resamples: 50, ..Bootstrap::default() },
         ..Options::default()
     }
@@ -161,7 +158,6 @@ fn persistence_velocities_and_ar5_on_robotino_score_as_its_readme_states() {
         return;
     };
     let options = Options {
-        horizons: Vec::new(),
         baselines: vec![Terms::VELOCITIES, Terms::AR5_AND_VELOCITIES],
         bootstrap: Bootstrap { resamples: 0, ..Bootstrap::default() },
         ..Options::default()
@@ -296,127 +292,21 @@ fn intervals_and_live_scores_equal_the_live_path() {
 
 type Forecast<'a> = &'a dyn Fn(&Row) -> f64;
 
-/// Rolls out one forecaster from one row, step by step.
-fn rolled(rows: &[Row], steps: usize, mut forecast: impl FnMut(&Row) -> f64) -> (f64, Vec<f64>) {
-    let mut lag_w: Vec<f32> = rows[0].features[NEWEST..NEWEST + LAGS].to_vec();
-    let mut forecasts_w = Vec::new();
-    for row in &rows[..steps] {
-        let mut row = *row;
-        row.features[NEWEST..NEWEST + LAGS].copy_from_slice(&lag_w);
-        let power_w = forecast(&row);
-        lag_w.insert(0, power_w as f32);
-        lag_w.pop();
-        forecasts_w.push(f64::from(power_w as f32));
-    }
-    (forecasts_w[steps - 1], forecasts_w)
-}
-
 #[test]
-fn the_open_loop_equals_rollouts_one_by_one() {
-    let recordings = made_up(4, 300);
-    let model = network(5, FeatureSet::Full, 30.0);
-    let options = quick();
-    let others = made_up(6, 200);
-    let fitted: Vec<Row> =
-        others.iter().flat_map(|one| contents(one).rows.rows.iter().copied()).collect();
-    let line = Linear::fit(&fitted, Terms::AR5_AND_VELOCITIES).unwrap();
+fn a_baseline_is_the_line_through_the_rows_that_it_is_fitted_on() {
+    let (recordings, others) = (made_up(4, 300), made_up(6, 200));
+    let rows = |of: &[Recording]| -> Vec<Row> {
+        of.iter().flat_map(|one| contents(one).rows.rows.iter().copied()).collect()
+    };
+    let line = Linear::fit(&rows(&others), Terms::AR5_AND_VELOCITIES).unwrap();
     let design = Design::fitted_on(&recordings, others);
-    let scored = run(&recordings, std::slice::from_ref(&model), &design, &options);
-    let forecasters: [(usize, Forecast<'_>); 3] = [
-        (0, &|row| predict(&model, row)),
-        (1, &|row| row.features[NEWEST].into()),
-        (3, &|row| line.predict(&row.features)),
-    ];
-    for (place, &ticks) in options.horizons.iter().enumerate() {
-        for (at, forecast) in forecasters {
-            let (mut readings, mut forecasts, mut energies) = (Vec::new(), Vec::new(), Vec::new());
-            // Rows are counted through all recordings.
-            let mut number = 0;
-            for recording in &recordings {
-                let Contents { rows, step_s, .. } = contents(recording);
-                let (rows, seqs) = (&rows.rows, &rows.sample_seq);
-                let begins = |at: usize| at == 0 || seqs[at] != seqs[at - 1] + 1;
-                for start in 0..rows.len() {
-                    let end = start + ticks;
-                    let whole = end <= rows.len() && (start + 1..end).all(|row| !begins(row));
-                    let every = ticks.min(options.origins_every);
-                    number += 1;
-                    if (number - 1) % every != every / 2 || !whole {
-                        continue;
-                    }
-                    let (last, all) = rolled(&rows[start..], ticks, forecast);
-                    readings.push(f64::from(rows[end - 1].target_w));
-                    forecasts.push(last);
-                    let steps = &step_s[start..end];
-                    let sum = |powers: &mut dyn Iterator<Item = f64>| -> f64 {
-                        powers.zip(steps).map(|(power, step)| power * step).sum()
-                    };
-                    let measured = sum(&mut rows[start..end].iter().map(|row| row.target_w.into()));
-                    energies.push((sum(&mut all.iter().copied()) - measured).abs() / measured);
-                }
-            }
-            let wanted = tally(&readings, &forecasts, 1.0);
-            let horizon = &scored.report.open_loop.horizons[place];
-            let found = &horizon.forecasters[at];
-            assert_eq!(horizon.origins, readings.len() as u64, "{ticks} ticks");
-            let energy_mape = energies.iter().sum::<f64>() / energies.len() as f64;
-            for (found, wanted) in [
-                (found.r2.value, wanted.r2()),
-                (found.mae_w.value, wanted.mae_w()),
-                (found.rmse_w.value, wanted.rmse_w()),
-                (found.bias_w, wanted.bias_w()),
-                (found.energy_mape, energy_mape),
-            ] {
-                let near = (found - wanted).abs() <= 1e-5 * (1.0 + wanted.abs());
-                assert!(near, "{at} at {ticks}: {found}, not {wanted}");
-            }
-        }
-    }
-}
-
-proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
-
-    #[test]
-    fn one_tick_open_loop_equals_corrected_for_recordings_of_any_lengths(
-        lengths in prop::collection::vec(8u32..150, 1..6),
-        every in 1usize..20,
-    ) {
-        let recordings = made_up_of(&lengths);
-        prop_assume!(recordings.iter().any(|one| one.rows() > 0));
-        let models = [network(5, FeatureSet::Full, 30.0), persistence()];
-        let options = Options { horizons: vec![1, 2, 30], origins_every: every, ..quick() };
-        let report = run_network(&recordings, &models, &Design::folds(&recordings), &options).report;
-        let mut pairs = vec![(&report.open_loop, &report.all)];
-        pairs.extend(report.open_loop_trials.iter().zip(&report.trials));
-        for (open, corrected) in pairs {
-            let ahead = &open.horizons[0];
-            prop_assert_eq!(ahead.origins, corrected.rows);
-            // Rollouts round the linear baselines' forecasts to f32.
-            let close = |a: f64, b: f64| {
-                (a.is_nan() && b.is_nan()) || (a - b).abs() <= 1e-5 * (1.0 + b.abs())
-            };
-            for (one, corrected) in ahead.forecasters.iter().zip(&corrected.forecasters) {
-                prop_assert!(close(one.mae_w.value, corrected.mae_w.value), "{}", one.name);
-                prop_assert!(close(one.r2.value, corrected.r2.value), "{}", one.name);
-            }
-        }
-    }
-}
-
-#[test]
-fn no_part_of_a_recording_is_the_start_of_a_rollout_more_often_than_another() {
-    // Short runs: without the count through all of them, every first row would be an origin.
-    let recordings = made_up_of(&[38; 60]);
-    let options = Options { horizons: vec![10], origins_every: 10, ..quick() };
-    let design = Design::folds(&recordings);
-    let report = run(&recordings, &[persistence()], &design, &options).report;
-    let rows: usize = recordings.iter().map(|one| one.rows()).sum();
-    // The first 24 of a run's 33 rows reach the horizon.
-    assert_eq!(rows, 60 * 33);
-    let found = report.open_loop.horizons[0].origins as f64;
-    let expected = 60.0 * 2.4;
-    assert!((found - expected).abs() <= 3.0, "{found}, not {expected}");
+    let report = run(&recordings, &[persistence()], &design, &quick()).report;
+    let rows = rows(&recordings);
+    let readings: Vec<f64> = rows.iter().map(|row| row.target_w.into()).collect();
+    let forecasts: Vec<f64> = rows.iter().map(|row| line.predict(&row.features)).collect();
+    let (wanted, found) = (tally(&readings, &forecasts, 1.0), &report.all.forecasters[3]);
+    assert_eq!(found.name, "AR(5) + velocities");
+    assert!(near(found.r2.value, wanted.r2()) && near(found.mae_w.value, wanted.mae_w()));
 }
 
 /// Bits of all inputs and targets of rows.
@@ -610,7 +500,6 @@ fn rows_without_a_forecast_are_left_out_for_all_and_counted() {
     let is_whole = |one: &ForecasterScore| one.count == all.rows || one.name.contains("velocities");
     assert!(all.forecasters.iter().all(is_whole));
     assert!(all.forecasters[1].skill[0].skill.value.is_finite());
-    assert!(report.open_loop.horizons[1].unscored > 0);
     let text = report.to_string();
     assert!(text.contains("rows left out"), "{text}");
 }
@@ -669,8 +558,6 @@ fn rows_that_a_model_was_trained_on_are_scored_apart_in_every_table() {
     assert_eq!(report.trials.len(), 2, "{report}");
     let cell = report.trained_on.as_ref().unwrap();
     assert_eq!(cell.rows, rows_of(seen) as u64);
-    let ahead = &report.open_loop.horizons[0];
-    assert_eq!(ahead.origins, report.all.rows);
     assert_eq!(live[0].robots.len(), 2);
     // Rows scored apart change no other score: it is the others' alone, by formula.
     for (cell, recordings) in [(&report.all, others), (cell, seen)] {
@@ -747,7 +634,7 @@ fn with_energy(recordings: &[Recording]) -> Model {
 fn robots_of_an_energy_evaluation_share_the_errors_of_their_platform() {
     let recordings: Vec<Recording> = (0..6).map(|trial| gapless(trial, 0..900)).collect();
     let models = [with_energy(&recordings)];
-    let options = Options { energy: true, horizons: Vec::new(), ..quick() };
+    let options = Options { energy: true, ..quick() };
     let design = Design::folds(&recordings);
     let found = run(&recordings, &models, &design, &options).report;
     let found = found.models[0].energy.clone().unwrap();
@@ -857,9 +744,6 @@ fn the_forecast_that_is_scored_is_named_and_its_members_are_beside_it() {
     assert_eq!((member.role, network.role), (Role::Member, Role::Published));
     assert_eq!(member.r2.value.to_bits(), network.r2.value.to_bits());
     assert_ne!(member.r2.value, online.all.forecasters[0].r2.value);
-    let ahead = &online.open_loop.horizons[0].forecasters;
-    assert_eq!(ahead[0].name, "random 5 (network)");
-    assert!(near(ahead[0].r2.value, network.r2.value));
     let text = online.to_string();
     assert!(text.contains("scored: its online forecast"), "{text}");
 }
@@ -882,20 +766,15 @@ fn the_runs_of_a_robot_in_one_capture_are_one_trial() {
     assert_eq!((found.all.trials, found.trials.len()), (6, 6), "{found}");
     assert_eq!(found.all.verdict, Verdict::CannotTell, "{found}");
     assert!(found.all.skill.lo.is_nan(), "{found}");
-    assert!(found.open_loop.iter().all(|horizon| horizon.mae_w.lo.is_nan()), "{found}");
     let [rows, of_trials] = [found.all.rows, found.trials.iter().map(|trial| trial.rows).sum()];
     assert_eq!(rows, of_trials);
     assert!(found.robots.iter().all(|robot| robot.trials == 1), "{found}");
     // The scores are those of the rows, whatever they are called.
     let alone = compared(&made_up(12, 300), &models);
     assert!(near(found.all.skill.value, alone.all.skill.value), "{found} {alone}");
-    for (one, other) in found.open_loop.iter().zip(&alone.open_loop) {
-        assert!(one.origins == other.origins && near(one.mae_w.value, other.mae_w.value));
-    }
     // Nor are their tables resampled as more.
     let report = run(&named, &models[..1], &Design::folds(&named), &quick()).report;
     assert_eq!((report.all.trials, report.trials.len()), (6, 6));
-    assert_eq!(report.open_loop.trials, 6);
 }
 
 #[test]
@@ -938,15 +817,9 @@ fn invalid_evaluations_are_refused_with_a_reason() {
     let models = [persistence()];
     assert_eq!(run(&models, &[], &quick()), ScoreError::NoRecording);
     assert_eq!(run(&[], &recordings, &quick()), ScoreError::NoModel);
-    for (horizons, names) in
-        [(vec![0], "horizon 0"), (vec![3, 3], "3 after 3"), (vec![301], "1 to 300")]
-    {
-        let options = Options { horizons, ..quick() };
-        let error = run(&models, &recordings, &options).to_string();
-        assert!(error.contains(names), "{error}");
-    }
-    let options = Options { origins_every: 0, ..quick() };
-    assert_contains(&run(&models, &recordings, &options), ["origins_every is 0"]);
+    let bootstrap = Bootstrap { block_rows: 0, ..Bootstrap::default() };
+    let options = Options { bootstrap, ..quick() };
+    assert_contains(&run(&models, &recordings, &options), ["block_rows is 0"]);
     let files = Files::new();
     let row = |row: u32| driven(0.033 * f64::from(row), f64::NAN, f64::NAN, 5.0);
     let table: Vec<_> = (0..40).map(row).collect();
