@@ -1,6 +1,6 @@
 //! Recorded trials through the tick, offline, in one pass: to the bit the results of a live run.
 
-mod report;
+mod left_out;
 mod series;
 
 use std::collections::HashSet;
@@ -16,8 +16,7 @@ use joulebus_wire::{
 };
 use serde::Serialize;
 
-pub use report::{EvaluationReport, PlatformReport, RobotReport, ScoreReport};
-pub(crate) use report::{LivePool, LiveTrial};
+pub use left_out::LeftOut;
 pub use series::Series;
 
 use joulebus_dataset::trial::{Trial, TrialNotes};

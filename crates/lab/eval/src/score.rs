@@ -54,7 +54,7 @@ pub(crate) use recording::sources;
 pub use recording::{Contents, Recording, check_apart, recorded_platform};
 pub use references::{Foreign, Reference};
 pub use report::ScoreReport;
-pub use run::{Reported, Scored, score, score_reported, score_watched};
+pub use run::{Scored, score, score_reported, score_watched};
 pub use subject::Subject;
 pub use tallied::ConstantInterval;
 pub use trained_on::{ScoredRows, TrainedOn};

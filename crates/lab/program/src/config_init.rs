@@ -162,7 +162,7 @@ impl HeldOut {
             Subject { settings, platform, models, recordings: &recordings, design: &design };
         let options = Options::default();
         let report = match score_reported(subject, &options) {
-            Ok(scored) => scored.report,
+            Ok(report) => report,
             Err(error @ ScoreError::NoRows { .. }) => {
                 log_line(&format!("warning: no score of the model: {error}"));
                 return Ok(None);

@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         let subject = section.subject(models, &design);
         match score_reported(subject, &options).map_err(usage) {
             Ok(reported) => {
-                warn(&reported.report.warnings);
+                warn(&reported.warnings);
                 evaluations.push(reported);
             }
             // A platform without rows must not hide the others.
@@ -105,7 +105,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     if let (true, Some(error)) = (evaluations.is_empty(), refused) {
         return Err(error);
     }
-    report(output, &EvalReport::of_reported(evaluations), implausible)?;
+    report(output, &EvalReport { evaluations }, implausible)?;
     Ok(Outcome::Done)
 }
 

@@ -97,7 +97,7 @@ def test_an_evaluation_has_the_programs_numbers(run, files):
     assert series["trial"] == str(files[1])
     assert len(found.to_pandas("series")) == sum(len(one["time_s"]) for one in found.series)
     errors = np.abs(series["reading_w"] - series["forecast_w"])
-    assert errors.mean() == pytest.approx(found.data["robots"][1]["mae_w"], rel=1e-5)
+    assert errors.mean() == pytest.approx(found.report["trials"][1]["forecasters"][0]["mae_w"]["value"], rel=1e-3)
     assert len(found.plot(series=1).lines) == 2
 
 

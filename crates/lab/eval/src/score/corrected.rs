@@ -12,7 +12,7 @@ use super::members::Member;
 use super::references::{Learned, forecasts_w};
 use super::{Contents, Options, ScoreError, Subject, recorded_platform};
 use crate::energy::{EVERY, EnergyScores, observe_all, untried};
-use crate::evaluate::{RobotEvaluation, evaluate_trial};
+use crate::evaluate::{LeftOut, RobotEvaluation, evaluate_trial};
 use joulebus_dataset::trial::Trial;
 use joulebus_statistics::metrics::{CoverageTally, Tally};
 use joulebus_train::linear::Linear;
@@ -38,6 +38,8 @@ pub(super) struct Found<T> {
     pub(super) live: Vec<T>,
     /// The energy forecasts of each model. Empty if not [asked for](Options::energy).
     pub(super) energy: Vec<EnergyScores>,
+    /// Samples without a forecast of the first model.
+    pub(super) left_out: Vec<LeftOut>,
 }
 
 /// Sums of one recording, and the result of `keep` for the live path of each model.
@@ -56,6 +58,7 @@ pub(super) fn one<T>(
             trained_on: Sums::default(),
             live: Vec::new(),
             energy: Vec::new(),
+            left_out: Vec::new(),
         });
     }
     let recording = &subject.recordings[at];
@@ -65,6 +68,7 @@ pub(super) fn one<T>(
     for live in &mut live {
         subject.design.restrict(at, contents, live);
     }
+    let left_out = live.first().filter(|_| !parts.is_empty()).map(RobotEvaluation::left_out);
     let live = live.into_iter().filter(|_| !parts.is_empty()).map(keep);
     let live = live.collect();
     let members = Member::of(subject).into_iter();
@@ -99,6 +103,7 @@ pub(super) fn one<T>(
             true => energy(subject, at, contents, &platforms[at]),
             false => Vec::new(),
         },
+        left_out: left_out.unwrap_or_default(),
     })
 }
 

@@ -12,6 +12,7 @@ use super::design::DesignReport;
 use super::tallied::{Set, Tallied};
 use super::trained_on::{ScoredRows, warnings};
 use crate::energy::EnergyScores;
+use crate::evaluate::LeftOut;
 use joulebus_statistics::bootstrap::Bootstrap;
 
 /// An evaluation: data, models, baselines and scores. `Display` gives tables. In JSON, undefined
@@ -47,6 +48,8 @@ pub struct ScoreReport {
     pub robots: Vec<Cell>,
     /// Cells by trial. Empty if there is only one.
     pub trials: Vec<Cell>,
+    /// Samples that were refused, or that got no forecast of the first model.
+    pub left_out: Vec<LeftOut>,
 }
 
 /// The tables, from sums of the recordings and each model's forecasts of energy.
@@ -86,5 +89,6 @@ pub(super) fn report(
         groups: tables(tallied.groups())?,
         robots: tables(tallied.robots())?,
         trials: tables(tallied.trials())?,
+        left_out: Vec::new(),
     })
 }

@@ -14,7 +14,7 @@ use super::report::{ScoreReport, report};
 use super::tallied::{Listed, Tallied};
 use super::{Options, Recording, ScoreError, Subject, each};
 use crate::energy::EnergyScores;
-use crate::evaluate::{Evaluation, LivePool, LiveTrial, RobotEvaluation};
+use crate::evaluate::{Evaluation, LeftOut, RobotEvaluation};
 
 /// Result of an evaluation.
 #[derive(Debug, Clone)]
@@ -24,15 +24,6 @@ pub struct Scored {
     /// The live path of each model, step by step. Readings of rows that are not evaluated are not
     /// scored.
     pub live: Vec<Evaluation>,
-}
-
-/// The reported part of an evaluation, without the steps of the live path.
-#[derive(Debug, Clone)]
-pub struct Reported {
-    /// All scores.
-    pub report: ScoreReport,
-    /// The live path of each model, pooled in the recordings' order.
-    pub(crate) live: Vec<LivePool>,
 }
 
 /// Evaluates the models on the recordings, in parallel.
@@ -87,18 +78,13 @@ pub fn score_watched(
     Ok(Scored { report, live })
 }
 
-/// Same as [`score`], for reports. Drops the steps of a recording's live path when the recording is
-/// done: they are most of the contents of [`Scored`].
+/// The tables alone. The steps of a recording's live path, which are most of the contents of
+/// [`Scored`], are gone when the recording is done.
 ///
 /// # Errors
 /// Same as [`score`].
-pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<Reported, ScoreError> {
-    let watch = |_| ControlFlow::Continue(());
-    let mut live = vec![LivePool::default(); subject.models.len()];
-    let take = |model: usize, trial: LiveTrial| live[model].push(trial);
-    let keep = |robot| LiveTrial::from(&robot);
-    let (report, _) = run_all(subject, options, watch, keep, take)?;
-    Ok(Reported { report, live })
+pub fn score_reported(subject: Subject<'_>, options: &Options) -> Result<ScoreReport, ScoreError> {
+    tallied(subject, options).map(|(report, _)| report)
 }
 
 /// The tables, and their sums, without the live path.
@@ -125,6 +111,7 @@ fn run_all<T: Send>(
         let live = found.live.into_iter().enumerate();
         live.for_each(|(model, kept)| take(model, kept));
         let listed = &prepared.common.recordings[at];
+        sums.left_out.extend(found.left_out);
         sums.push(listed, found.sums, found.trained_on, found.energy)
     })?;
     sums.report(prepared.common, options)
@@ -193,6 +180,7 @@ struct SumsOfAll {
     trained_on: Tallied,
     /// Energy scores of each model.
     energy: Vec<EnergyScores>,
+    left_out: Vec<LeftOut>,
 }
 
 impl SumsOfAll {
@@ -232,7 +220,8 @@ impl SumsOfAll {
             energy.resize_with(common.models.len(), Default::default);
         }
         let report = report(common, options, [&self.evaluated, &self.trained_on], &energy);
-        let report = report.map_err(|error| ScoreError::kept(&error))?;
+        let mut report = report.map_err(|error| ScoreError::kept(&error))?;
+        report.left_out = self.left_out;
         Ok((report, self.evaluated))
     }
 }

@@ -41,6 +41,13 @@ impl fmt::Display for ScoreReport {
         for model in &self.models {
             write_energy(out, model)?;
         }
+        for left_out in self.left_out.iter().take(MAX_LISTED) {
+            writeln!(out, "{left_out}")?;
+        }
+        if self.left_out.len() > MAX_LISTED {
+            let more = self.left_out.len() - MAX_LISTED;
+            writeln!(out, "and {more} further reasons and robots. --format json has all")?;
+        }
         Ok(())
     }
 }

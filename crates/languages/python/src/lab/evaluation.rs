@@ -2,7 +2,7 @@
 
 use joulebus_config::Config;
 use joulebus_eval::EvalReport;
-use joulebus_eval::evaluate::{Evaluation, RobotEvaluation, Series};
+use joulebus_eval::evaluate::{RobotEvaluation, Series};
 use joulebus_eval::score::{Options, Recording, Reference, Scored, Subject, score_watched};
 use joulebus_program::config_file::ConfigFile;
 use joulebus_statistics::bootstrap::Bootstrap;
@@ -99,10 +99,10 @@ pub(crate) fn evaluate<'py>(
         Progress::Done(done, all) => progress.call1((done, all)).map(|_| ()),
     })?;
     let Scored { report, live, .. } = scored;
-    let live = Evaluation { robots: live.into_iter().flat_map(|live| live.robots).collect() };
-    let series = live.robots.iter().map(|robot| series(py, robot, &recordings));
+    let robots = live.iter().flat_map(|live| &live.robots);
+    let series = robots.map(|robot| series(py, robot, &recordings));
     let series = series.collect::<PyResult<Vec<_>>>()?;
-    let report = EvalReport::new(&live, vec![report]);
+    let report = EvalReport { evaluations: vec![report] };
     Ok((json(&report)?, report.to_string(), series))
 }
 
