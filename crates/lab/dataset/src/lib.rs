@@ -1,7 +1,6 @@
 #![doc = include_str!("../README.md")]
 #![forbid(unsafe_code)]
 
-pub mod altered;
 pub mod inspect;
 pub mod npy;
 pub mod rows;

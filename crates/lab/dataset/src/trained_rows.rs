@@ -233,14 +233,14 @@ fn element(row: &Row) -> u64 {
 }
 
 /// Every bit depends on every bit (SplitMix64's finaliser).
-pub(crate) fn mixed(x: u64) -> u64 {
+fn mixed(x: u64) -> u64 {
     let x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     let x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
     x ^ (x >> 31)
 }
 
 /// Hashes of any part of a sequence: polynomials in [`BASE`], from sums over its beginnings.
-pub(crate) struct Sums {
+struct Sums {
     /// The sum of the first n elements, at index n.
     sums: Vec<u64>,
     /// Powers of the base.

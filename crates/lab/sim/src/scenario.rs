@@ -16,12 +16,9 @@ use joulebus_dataset::trial::Trial;
 use joulebus_plant::arena::{self, Command, HALF_ARENA_M, Pose, STEP_S, V_MAX_MPS, saturated};
 use joulebus_plant::body::Body;
 use joulebus_plant::parts::Parts;
-use joulebus_plant::protocol::SAMPLES;
 use joulebus_statistics::noise::Noise;
 use std::f64::consts::PI;
 
-/// Steps of the scenario in the table of `docs/measured/plant.md`: as many as a trial's.
-pub const SCENARIO_STEPS: usize = SAMPLES;
 /// Robots of the scenario.
 pub const ROBOTS: usize = 7;
 /// Additional load of robots 1 to 7 over the robot of the trials, W.

@@ -6,7 +6,6 @@ use joulebus_predictor::training::TrainedRows;
 use joulebus_predictor::{FEATURE_NAMES, FeatureSet, INPUTS, Normalisation};
 use serde::Serialize;
 
-use joulebus_dataset::altered::Shapes;
 use joulebus_dataset::rows::{Dataset, Row};
 use joulebus_dataset::trained_rows::{hashed, is_trained_on, is_untold, runs};
 
@@ -23,7 +22,7 @@ pub struct Findings {
     /// Rows left out because an input or target is NaN or infinite: training, validation, held out.
     pub unusable_rows: [usize; 3],
     /// Held-out rows that were also trained on, and the others of recordings of which at least a
-    /// quarter was, or has the shape of training rows. They are not scored.
+    /// quarter was. They are not scored.
     pub held_out_trained_on: usize,
     /// Scored rows in pieces too short, or that change too rarely, to be recognised if they were
     /// also trained on.
@@ -131,9 +130,6 @@ fn held_out_known(dataset: &Dataset, trained_rows: Option<&TrainedRows>) -> (Vec
     };
     let mut is_known = is_trained_on(rows, trained);
     let is_untold = is_untold(rows, &is_known, trained);
-    let mut shapes = Shapes::default();
-    shapes.add(&dataset.training);
-    shapes.add(&dataset.validation);
     let mut untold = 0;
     let mut end = 0;
     for recording in recordings(rows, dataset.period_s > 0.0) {
@@ -142,7 +138,7 @@ fn held_out_known(dataset: &Dataset, trained_rows: Option<&TrainedRows>) -> (Vec
         let of = |mask: &[bool]| mask[start..end].iter().filter(|is| **is).count();
         let (known, of_untold) = (of(&is_known), of(&is_untold));
         let is_copy = known > 0 && known as f64 >= COPIED * (recording.len() - of_untold) as f64;
-        if is_copy || shapes.matches(recording) as f64 >= COPIED * recording.len() as f64 {
+        if is_copy {
             is_known[start..end].fill(true);
         } else {
             untold += of_untold;

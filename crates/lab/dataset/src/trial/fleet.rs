@@ -104,11 +104,6 @@ impl TrialFleet {
         self.players.iter().map(|player| player.robot)
     }
 
-    /// Samples in one pass through all trials.
-    pub fn samples_per_pass(&self) -> usize {
-        self.players.iter().map(|player| player.samples.len()).sum()
-    }
-
     /// When the next non-empty frame is due, in trial time, ns. `None` at the end, which
     /// [`Playback::repeat`] never reaches.
     pub fn next_due_ns(&self) -> Option<u64> {

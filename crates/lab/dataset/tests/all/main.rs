@@ -1,7 +1,6 @@
 //! Tests of datasets: trials, rows, and the operations on them.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-mod altered;
 mod datasets;
 mod rows;
 mod sources;

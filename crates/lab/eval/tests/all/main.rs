@@ -7,5 +7,4 @@ mod levels;
 mod live;
 mod online_learning;
 mod plant_statistics;
-mod remembered;
 mod trial;

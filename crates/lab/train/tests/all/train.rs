@@ -155,44 +155,6 @@ fn a_held_out_recording_that_is_a_copy_in_good_part_goes_whole_and_short_pieces_
 }
 
 #[test]
-fn altered_copies_of_training_recordings_are_not_scored_and_other_recordings_are() {
-    let settings = tiny_settings(FeatureSet::PowerOnly);
-    // A monitor that measures at each row.
-    let driven = |seed: u64| {
-        let mut noise = Noise::new(seed, 0);
-        let mut power_w = 4.0_f32;
-        let mut next = || {
-            power_w = 0.9 * power_w + 0.4 + (noise.below(2_001) as f32 - 1_000.0) * 2e-4;
-            power_w
-        };
-        (0..700).map(|_| next()).collect::<Vec<f32>>()
-    };
-    let part =
-        |recording: usize, powers_w: Vec<f32>| recorded_again(&[], recording, |_| powers_w.clone());
-    let data = Dataset {
-        training: [part(0, driven(1)), part(1, driven(2))].concat(),
-        validation: part(2, driven(3)),
-        held_out: part(3, driven(4)),
-        description: String::new(),
-        period_s: 0.033,
-    };
-    assert_eq!(made(&data, &settings).findings.held_out_trained_on, 0);
-    let (copied, validated) = (driven(2), driven(3));
-    for (what, altered) in [
-        ("scaled", copied.iter().map(|power_w| power_w * 1.0005).collect::<Vec<f32>>()),
-        ("every second row", copied.iter().copied().step_by(2).collect()),
-        ("reversed", copied.iter().rev().copied().collect()),
-        ("every second validation row", validated.iter().copied().step_by(2).collect()),
-    ] {
-        let copy = part(4, altered);
-        let held_out = [data.held_out.clone(), copy.clone()].concat();
-        let trained = made(&Dataset { held_out, ..data.clone() }, &settings);
-        assert_eq!(trained.findings.held_out_trained_on, copy.len(), "{what}");
-        assert_eq!(trained.network.card().scores.rows, data.held_out.len() as u64, "{what}");
-    }
-}
-
-#[test]
 fn validation_rows_that_were_also_trained_on_are_stated_in_the_report_and_the_card() {
     let settings = tiny_settings(FeatureSet::Full);
     let mut data = tiny_data();

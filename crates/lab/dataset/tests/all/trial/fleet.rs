@@ -36,7 +36,6 @@ fn frames_are_on_the_grid_and_hold_due_samples_by_robot_and_time() {
     let trials = vec![(8, trial(10.0, 4)), (3, trial(20.0, 4)), (5, trial(4.0, 2))];
     let mut fleet = TrialFleet::new(trials, playback(100 * MS, false)).unwrap();
     assert_eq!(fleet.robots().collect::<Vec<_>>(), [3, 5, 8]);
-    assert_eq!(fleet.samples_per_pass(), 10);
     let frames = play(&mut fleet);
     let frames = frames
         .iter()
