@@ -102,7 +102,6 @@ fn a_converted_network_is_imported_as_stated_and_exported() {
     }
     let again = std::fs::read(at("again.safetensors")).unwrap();
     assert_eq!(again, std::fs::read(&out).unwrap());
-    done(["model", "export", text(&out), "--to", "npy", "--out", text(&at("arrays"))]);
     // Exports are for other programs.
     for exported in ["model.npz", "model.onnx"] {
         let refused = output(["model", "info", text(&at(exported))]).exits(1);

@@ -97,6 +97,7 @@ const GONE: &[(&str, &str, &str)] = &[
     ("model import", "--convention --normalisation --activation --part", STATED),
     ("model info", "--activation --part", STATED),
     ("bench", "--compare --fail-above", COMPARE),
+    ("KIND", "npy", "--out FILE.npz writes the same arrays into one archive, which numpy.load reads"),
     (
         "KIND",
         "shards",

@@ -120,7 +120,7 @@ impl Predictor {
         Ok(PyBytes::new(py, &bytes))
     }
 
-    /// The arrays that `joulebus model export --to npy` writes: names, and the bytes of each file.
+    /// The arrays of the archive that `joulebus model export` writes: names, and the bytes of each file.
     #[cfg(feature = "lab")]
     fn _arrays<'py>(&self, py: Python<'py>) -> PyResult<Vec<(String, Bound<'py, PyBytes>)>> {
         let model = self.model();

@@ -1,14 +1,10 @@
 //! `joulebus model export`: exports a model for other programs.
 
 use std::fmt;
-use std::fs;
 use std::path::{Path, PathBuf};
 
-use anyhow::Context as _;
 use clap::ValueEnum;
-use joulebus_files::WholeFolder;
-use joulebus_model_files::{to_arrays, to_npz, to_onnx, to_python};
-use joulebus_predictor::Network;
+use joulebus_model_files::{to_npz, to_onnx, to_python};
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
@@ -21,7 +17,6 @@ use joulebus_program::model_source;
 #[command(after_help = "Examples:\n  \
     joulebus model export my.safetensors --out my.onnx\n  \
     joulebus model export my.safetensors --out my.npz\n  \
-    joulebus model export my.safetensors --to npy --out my/\n  \
     joulebus model export my.safetensors --out predictor.py\n\n\
     ONNX: opset 17, input `features` (n, 11) in SI units as `model info` lists them, output \
     `power_w` (n, 1). The normalisation is part of the graph. Arrays carry `check_features` and \
@@ -33,7 +28,7 @@ pub(crate) struct Args {
     /// A joulebus model (.safetensors), or builtin:NAME
     #[arg(value_name = "MODEL")]
     model: PathBuf,
-    /// The output file, or a directory for npy
+    /// The output file
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// Format of the file [default: by the extension of --out]
@@ -48,8 +43,6 @@ enum ExportFormat {
     Safetensors,
     /// An archive of NumPy arrays
     Npz,
-    /// A directory of NumPy arrays
-    Npy,
     /// An ONNX graph
     Onnx,
     /// A Python module that needs NumPy only
@@ -60,13 +53,19 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let out = &args.out;
     let kind = args.to.map_or_else(|| by_ending(out), Ok)?;
     let network = model_source::load(&args.model)?;
-    let bytes = export(&network, kind, out)?;
+    let bytes = match kind {
+        ExportFormat::Safetensors => network.to_safetensors()?,
+        ExportFormat::Npz => to_npz(&network)?,
+        ExportFormat::Onnx => to_onnx(&network)?,
+        ExportFormat::Python => to_python(&network)?.into_bytes(),
+    };
+    write(out, &bytes)?;
     output.report(&ExportReport {
         file: out.display().to_string(),
         kind,
         model: network.card().name.clone(),
         model_hash: format!("{:016x}", network.hash()),
-        bytes,
+        bytes: bytes.len(),
     })?;
     Ok(Outcome::Done)
 }
@@ -84,38 +83,6 @@ fn by_ending(out: &Path) -> Result<ExportFormat, UsageError> {
             Err(UsageError(format!("{what}. Name the format: --to FORMAT")))
         }
     }
-}
-
-/// Writes the model. Returns the number of bytes written.
-fn export(network: &Network, kind: ExportFormat, out: &Path) -> anyhow::Result<usize> {
-    let bytes = match kind {
-        ExportFormat::Safetensors => network.to_safetensors()?,
-        ExportFormat::Npz => to_npz(network)?,
-        ExportFormat::Onnx => to_onnx(network)?,
-        ExportFormat::Python => to_python(network)?.into_bytes(),
-        ExportFormat::Npy => return export_arrays(network, out),
-    };
-    write(out, &bytes)?;
-    Ok(bytes.len())
-}
-
-/// Writes one file per array into an empty directory, so that no array of another model is among
-/// them.
-fn export_arrays(network: &Network, folder: &Path) -> anyhow::Result<usize> {
-    let failed = || format!("cannot write into {}", folder.display());
-    let is_used = folder.exists() && fs::read_dir(folder).with_context(failed)?.next().is_some();
-    if is_used {
-        let what = format!("{} is not empty", folder.display());
-        return Err(UsageError(format!("{what}. Name a new directory")).into());
-    }
-    let mut whole = WholeFolder::begin(folder).with_context(failed)?;
-    let mut written = 0;
-    for (name, bytes) in to_arrays(network)? {
-        write(&whole.path(format!("{name}.npy")).with_context(failed)?, &bytes)?;
-        written += bytes.len();
-    }
-    whole.keep_new().with_context(failed)?;
-    Ok(written)
 }
 
 #[derive(Debug, Serialize)]
