@@ -78,10 +78,7 @@ const GROUPS: [(&str, &[&str]); 6] = [
     ("A running fleet", &["run", "publish", "bridge", "link"]),
     ("What to know of it", &["status", "watch", "ask", "battery", "alarms", "serve"]),
     ("Captures", &["record", "replay", "info", "recover", "import"]),
-    (
-        "Models and data",
-        &["data", "train", "eval", "analyze", "report", "model", "mission"],
-    ),
+    ("Models and data", &["data", "train", "eval", "analyze", "report", "model", "mission"]),
     ("This program", &["bench", "completions", "man", "help"]),
 ];
 

@@ -36,8 +36,7 @@ fn rows(verb: &str) -> Vec<&'static (i32, &'static str)> {
 
 /// Verbs whose files others read or run, as far as the umask allows. All other files are their
 /// owner's alone.
-const SHARED: &str =
-    "new, config init, man, model export, train sim, train trials, bridge";
+const SHARED: &str = "new, config init, man, model export, train sim, train trials, bridge";
 
 /// System calls that make, name and fill files.
 const NAMING: &str =

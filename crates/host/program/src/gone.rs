@@ -94,10 +94,15 @@ const GONE: &[(&str, &str, &str)] = &[
         "--take-over",
         "end the worker that leads, and the lease goes to the next: docs/how-to/standby.md",
     ),
+    ("train trials", "--rows", "`rows()` of a trial of the Python package has them as arrays"),
     ("model import", "--convention --normalisation --activation --part", STATED),
     ("model info", "--activation --part", STATED),
     ("bench", "--compare --fail-above", COMPARE),
-    ("KIND", "npy", "--out FILE.npz writes the same arrays into one archive, which numpy.load reads"),
+    (
+        "KIND",
+        "npy",
+        "--out FILE.npz writes the same arrays into one archive, which numpy.load reads",
+    ),
     (
         "KIND",
         "shards",

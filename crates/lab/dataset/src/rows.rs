@@ -1,17 +1,11 @@
 //! Recorded samples as training rows: the features at one time and the next reading.
 
 use std::collections::BTreeMap;
-use std::io::{self, BufWriter, Write as _};
-use std::path::Path;
 
-use joulebus_files::{WholeFolder, replace};
-use joulebus_predictor::{
-    FEATURE_NAMES, FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features,
-};
+use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features};
 use joulebus_wire::{Sample, sample_flag};
 use sha2::{Digest as _, Sha256};
 
-use crate::npy;
 use crate::trial::Trial;
 
 /// One training row: features and the reading that followed.
@@ -211,38 +205,6 @@ impl Age {
             false => self.reading_age.pass(1),
         }
     }
-}
-
-/// Writes the rows for other programs: `training.npy`, `validation.npy` and `held_out.npy`, float32
-/// of shape (rows, features + 1), each row its features and then the reading that followed, W.
-/// `features.txt` lists the features' names, one per line. Unknown values are NaN. The directory is
-/// created. Files in it are replaced.
-///
-/// # Errors
-/// The operating system's error.
-pub fn write_rows(directory: &Path, dataset: &Dataset) -> io::Result<()> {
-    let mut whole = WholeFolder::begin(directory)?;
-    replace(&whole.path("features.txt")?, |mut file| {
-        file.write_all((FEATURE_NAMES.join("\n") + "\n").as_bytes())
-    })?;
-    let parts = [
-        ("training.npy", &dataset.training),
-        ("validation.npy", &dataset.validation),
-        ("held_out.npy", &dataset.held_out),
-    ];
-    for (name, rows) in parts {
-        replace(&whole.path(name)?, |file| {
-            let mut file = BufWriter::new(file);
-            file.write_all(&npy::header("<f4", &[rows.len(), FEATURE_NAMES.len() + 1]))?;
-            for row in rows {
-                for value in row.features.iter().chain([&row.target_w]) {
-                    file.write_all(&value.to_le_bytes())?;
-                }
-            }
-            file.flush()
-        })?;
-    }
-    whole.keep()
 }
 
 fn command(sample: &Sample) -> Option<(f32, f32)> {

@@ -40,9 +40,7 @@ mod tallied;
 mod text;
 mod trained_on;
 
-pub use cell::{
-    Blocks, Cell, ForecasterScore, IntervalScore, Role, Skill,
-};
+pub use cell::{Blocks, Cell, ForecasterScore, IntervalScore, Role, Skill};
 pub use common::{BaselineReport, ModelReport};
 pub use compare::{Comparison, Difference, FEWEST_TRIALS, MemberScore, Verdict, compare};
 pub use design::{Design, DesignReport, Fold, Part};

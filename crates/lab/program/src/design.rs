@@ -61,9 +61,7 @@ impl DesignArguments {
 /// Errors caused by the arguments become usage errors.
 pub(crate) fn usage(error: ScoreError) -> anyhow::Error {
     match error {
-        ScoreError::Split(_) | ScoreError::Option { .. } => {
-            UsageError(error.to_string()).into()
-        }
+        ScoreError::Split(_) | ScoreError::Option { .. } => UsageError(error.to_string()).into(),
         error => error.into(),
     }
 }

@@ -101,18 +101,11 @@ impl AcceptArguments {
         }
     }
 
-    /// Shows what is implausible in trials, and refuses errors.
+    /// Shows what is implausible in trials, each with the remedies of where it comes from, and
+    /// refuses errors.
     ///
     /// # Errors
     /// A finding that makes results wrong and is not accepted.
-    pub(crate) fn judge<'a>(
-        &self,
-        trials: impl IntoIterator<Item = &'a Trial>,
-    ) -> anyhow::Result<Vec<Judged>> {
-        self.judge_from(trials.into_iter().map(|trial| (Source::Recording, trial)))
-    }
-
-    /// The same, each with the remedies of where it comes from.
     pub(crate) fn judge_from<'a>(
         &self,
         trials: impl Iterator<Item = (Source, &'a Trial)>,

@@ -195,10 +195,7 @@ fn inputs(material: &Material<'_>) -> Section {
         row("model", format!("{} ({}), trained on: {data}", model.name, model.hash));
         let members = match model.members.as_slice() {
             [] => String::new(),
-            members => format!(
-                ", learned for each robot from {}",
-                members.join(", ")
-            ),
+            members => format!(", learned for each robot from {}", members.join(", ")),
         };
         let trained_on = match &model.trained_on {
             Some(found) => {

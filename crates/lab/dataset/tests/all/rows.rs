@@ -2,11 +2,11 @@
 
 use std::collections::HashSet;
 
-use joulebus_dataset::rows::{Dataset, Row, sample_rows, write_rows};
+use joulebus_dataset::rows::{Dataset, Row, sample_rows};
 use joulebus_dataset::split::{
     By, PAUSE_ROWS, Split, SplitError, SplitSummary, assign_leaving_out, group_of,
 };
-use joulebus_predictor::{FEATURE_NAMES, FEATURES, FeatureSet};
+use joulebus_predictor::{FEATURES, FeatureSet};
 use joulebus_testkit::assert_contains;
 use joulebus_wire::{Sample, sample_flag};
 use proptest::prelude::*;
@@ -230,42 +230,6 @@ proptest! {
         prop_assert!(trained_w < from_w && to_w < held_out_w && trained_w < held_out_w);
         let found = summary.rows.iter().sum::<usize>() + summary.pause_rows;
         prop_assert_eq!(found, count * rows);
-    }
-}
-
-#[test]
-fn rows_are_exported_as_arrays_of_single_precision() {
-    let (dataset, _) = split(&sources(6, 20), Split::default()).expect("six trials");
-    let folder = tempfile::tempdir().expect("a temporary directory");
-    let folder = folder.path().join("rows");
-    write_rows(&folder, &dataset).expect("it can be written");
-    let names = std::fs::read_to_string(folder.join("features.txt")).expect("written");
-    assert_eq!(names.lines().collect::<Vec<_>>(), FEATURE_NAMES);
-    let parts = [
-        ("training.npy", &dataset.training),
-        ("validation.npy", &dataset.validation),
-        ("held_out.npy", &dataset.held_out),
-    ];
-    for (name, rows) in parts {
-        let bytes = std::fs::read(folder.join(name)).expect("written");
-        let (header, data) = bytes.split_at(128);
-        let shape = format!(
-            "'<f4', 'fortran_order': False, 'shape': ({}, {}), }}",
-            rows.len(),
-            FEATURE_NAMES.len() + 1
-        );
-        assert!(String::from_utf8_lossy(header).contains(&shape), "{name}");
-        let found: Vec<u32> = data
-            .chunks_exact(4)
-            .map(|bytes| f32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]).to_bits())
-            .collect();
-        let wanted: Vec<u32> = rows
-            .iter()
-            .flat_map(|row| row.features.iter().chain([&row.target_w]))
-            .map(|value| value.to_bits())
-            .collect();
-        assert!(!wanted.is_empty());
-        assert_eq!(found, wanted, "{name}");
     }
 }
 

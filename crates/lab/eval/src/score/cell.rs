@@ -8,7 +8,7 @@ use super::Options;
 use super::blocks::{Block, Draws};
 use super::tallied::{ConstantInterval, Set, Tallied};
 use joulebus_statistics::bootstrap::Estimate;
-use joulebus_statistics::metrics::{Coverage, CoverageTally, ResidualQuantiles, Tally};
+use joulebus_statistics::metrics::{Coverage, CoverageTally, ResidualQuantiles};
 
 /// Scores of a set of recordings in corrected mode: all of them, a group, a robot or a trial. Their
 /// rows are pooled: R² is about the mean over all of them.

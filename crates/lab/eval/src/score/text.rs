@@ -87,11 +87,7 @@ fn write_model(out: &mut Formatter<'_>, what: &str, model: &ModelReport) -> fmt:
     write!(out, "  scored: its {} forecast", model.forecast)?;
     match model.members.as_slice() {
         [] => writeln!(out)?,
-        members => writeln!(
-            out,
-            ", learned for each robot from {}",
-            members.join(", ")
-        )?,
+        members => writeln!(out, ", learned for each robot from {}", members.join(", "))?,
     }
     let Some(training_data) = &model.training_data else {
         return Ok(());

@@ -121,8 +121,10 @@ fn on_floors_that_are_left_out_healthy_robots_raise_at_most_a_level_an_hour() {
             let settings = settings(platform);
             // Levels read the energy model alone.
             let model = network(&own, period_s(&settings), feature_set, 1);
-            let played: Vec<_> =
-                left_out.par_iter().map(|trial| raised(&settings, &model, &samples(trial))).collect();
+            let played: Vec<_> = left_out
+                .par_iter()
+                .map(|trial| raised(&settings, &model, &samples(trial)))
+                .collect();
             let count: usize = played.iter().map(|(levels, _)| levels.len()).sum();
             let of_floor_h: f64 = played.iter().map(|(_, hours)| hours).sum();
             println!("{folder}, {floor}: {count} in {of_floor_h:.2} h");

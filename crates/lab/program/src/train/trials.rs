@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use joulebus_dataset::rows::{Dataset, write_rows};
+use joulebus_dataset::rows::Dataset;
 use joulebus_dataset::split::{SourceInfo, Split, SplitSummary, left_out};
 use joulebus_dataset::trial::ColumnMap;
 use joulebus_eval::score::Recording;
@@ -63,11 +63,6 @@ pub(super) struct Args {
     /// power if most rows have no velocities]
     #[arg(long, value_enum)]
     features: Option<FeatureChoice>,
-    /// Also write the rows of each part into this directory: training.npy, validation.npy and
-    /// held_out.npy, float32, the features in the order of features.txt followed by the next
-    /// reading, W
-    #[arg(long, value_name = "DIR")]
-    rows: Option<PathBuf>,
     /// Maximum number of rows to train, validate and score on. If there are more, stretches are
     /// taken that are spread evenly over all recordings
     #[arg(long, value_name = "N", default_value_t = MAX_ROWS)]
@@ -83,10 +78,6 @@ pub(super) struct Args {
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     args.run.check()?;
     let (dataset, summary, implausible, recipe) = args.prepare()?;
-    if let Some(directory) = &args.rows {
-        write_rows(directory, &dataset)
-            .with_context(|| format!("cannot write rows to {}", directory.display()))?;
-    }
     let start = Instant::now();
     let Some(trained) = args.run.train(&dataset, &recipe.training)? else {
         return Ok(Outcome::Failed);
@@ -122,7 +113,6 @@ impl Args {
             seed: None,
             name: None,
             features: None,
-            rows: None,
             most_rows: MAX_ROWS,
             columns: columns.clone(),
             accept: AcceptArguments::settled(),

@@ -7,7 +7,6 @@ use joulebus_predictor::{
     FEATURES, FeatureSet, Features, Kernel, ModelCard, Network, ResidualStats, Scores,
 };
 use joulebus_sim::training_data::{SimulatedData, dataset_from_plant};
-use joulebus_statistics::noise::Noise;
 use joulebus_testkit::assert_contains;
 use joulebus_train::{
     Epoch, TrainError, TrainReport, TrainSettings, Trained, Training, scored, settings_for_sim,

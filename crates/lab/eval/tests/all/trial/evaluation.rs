@@ -257,7 +257,10 @@ fn pooled_persistence_on_all_robotino_trials_scores_as_published() {
     assert!((0.78..0.86).contains(&r2), "{r2}");
     for robot in &evaluation.robots {
         // The model is persistence too; residuals are f32, the baseline's errors f64.
-        assert!(robot.scores.count == 0 || (robot.scores.r2() - robot.scores.persistence_r2()).abs() < 1e-6);
+        assert!(
+            robot.scores.count == 0
+                || (robot.scores.r2() - robot.scores.persistence_r2()).abs() < 1e-6
+        );
     }
 }
 

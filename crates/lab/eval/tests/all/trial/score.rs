@@ -107,10 +107,7 @@ fn made_up_of(lengths: &[u32]) -> Vec<Recording> {
 }
 
 fn quick() -> Options {
-    Options {
-        bootstrap: Bootstrap { resamples: 50, ..Bootstrap::default() },
-        ..Options::default()
-    }
+    Options { bootstrap: Bootstrap { resamples: 50, ..Bootstrap::default() }, ..Options::default() }
 }
 
 fn subject<'a>(
