@@ -2,47 +2,76 @@
 
 use joulebus_bus::{Bus, Limits, Loan, OpenError, SendError, Waker, Writer, clock};
 use joulebus_fleet::{Fleet, Output, SecondaryOutputs};
-use joulebus_wire::{
-    Budgets, Diagnostics, ForecastHeader, Forecasts, FrameHeader as _, Outlooks, PlanStates,
-    WakeEvent,
-};
+use joulebus_wire::{ForecastHeader, Forecasts, FrameHeader as _, WakeEvent};
 
 use crate::standby::watch::CurrentPermit;
 use crate::tick_pool::TickPool;
 
-/// The five ports, and the event that wakes planners.
+/// The ports, and the event that wakes planners.
 #[derive(Debug)]
 pub(crate) struct Outbox {
     forecasts: Writer<Forecasts>,
-    diagnostics: Writer<Diagnostics>,
-    budgets: Writer<Budgets>,
-    plan_states: Writer<PlanStates>,
-    outlooks: Writer<Outlooks>,
+    secondary: SecondaryWriters,
     planners: Waker,
 }
+
+/// Declares the ports of the outputs beside the forecasts, and what is done with each of them.
+macro_rules! ports {
+    ($($(#[doc = $doc:literal])* $rows:ident: $channel:ident, $row:ident, $get:ident,
+        $computed:expr, |$fleet:ident, $forecasts:ident| $header:ident { $($fields:tt)* };)*
+    ) => {
+        #[derive(Debug)]
+        struct SecondaryWriters {
+            $($rows: Writer<joulebus_wire::$channel>,)*
+        }
+
+        /// Their frames in a tick.
+        struct SecondaryFrames<'a> {
+            $($rows: Lent<'a, joulebus_wire::$channel>,)*
+        }
+
+        impl SecondaryWriters {
+            fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
+                Ok(Self { $($rows: bus.writer(limits)?,)* })
+            }
+
+            fn flags(&self, sheds: bool) -> u32 {
+                0 $(| flag(&self.$rows, sheds))*
+            }
+
+            fn loan(&mut self, robots: usize, flags: u32) -> SecondaryFrames<'_> {
+                SecondaryFrames { $($rows: loan(&mut self.$rows, robots, flags),)* }
+            }
+        }
+
+        impl SecondaryFrames<'_> {
+            fn outputs(&mut self) -> SecondaryOutputs<'_> {
+                SecondaryOutputs { $($rows: payload(&mut self.$rows),)* }
+            }
+
+            /// Returns the number of frames that could not be sent.
+            fn send(self, fleet: &Fleet, forecasts: &ForecastHeader, sent: (u64, u64)) -> u64 {
+                0 $(+ send(self.$rows, fleet, forecasts, sent))*
+            }
+        }
+    };
+}
+
+joulebus_fleet::secondary_outputs!(ports);
 
 impl Outbox {
     pub(crate) fn open(bus: &Bus, limits: &Limits) -> Result<Self, OpenError> {
         Ok(Self {
             forecasts: bus.writer(limits)?,
-            diagnostics: bus.writer(limits)?,
-            budgets: bus.writer(limits)?,
-            plan_states: bus.writer(limits)?,
-            outlooks: bus.writer(limits)?,
+            secondary: SecondaryWriters::open(bus, limits)?,
             planners: bus.planner_waker(limits)?,
         })
     }
 
-    /// The [`joulebus_wire::tick_flag`]s of the next tick: which outputs it leaves out, for lack of time if it
-    /// `sheds`, or because nobody reads them.
+    /// The [`joulebus_wire::tick_flag`]s of the next tick: which outputs it leaves out, for lack of
+    /// time if it `sheds`, or because nobody reads them.
     pub(crate) fn flags(&self, sheds: bool) -> u32 {
-        fn flag<O: Output>(writer: &Writer<O>, sheds: bool) -> u32 {
-            O::SENT_IN.flag(sheds, O::FLOW.is_on_demand() && writer.readers() > 0)
-        }
-        flag(&self.diagnostics, sheds)
-            | flag(&self.budgets, sheds)
-            | flag(&self.plan_states, sheds)
-            | flag(&self.outlooks, sheds)
+        self.secondary.flags(sheds)
     }
 
     /// Ticks the robots of a fleet that has begun a tick, writes the outputs of a tick with these
@@ -61,29 +90,16 @@ impl Outbox {
     ) -> u64 {
         let robots = fleet.len();
         let mut forecasts = Some(self.forecasts.loan_to_fill(robots));
-        let mut diagnostics = loan(&mut self.diagnostics, robots, flags);
-        let mut budgets = loan(&mut self.budgets, robots, flags);
-        let mut plan_states = loan(&mut self.plan_states, robots, flags);
-        let mut outlooks = loan(&mut self.outlooks, robots, flags);
+        let mut secondary = self.secondary.loan(robots, flags);
         let mut shard = fleet.shard();
         pool.forecast(shard.reborrow(), payload(&mut forecasts));
         let unsent = send_forecasts(forecasts, &self.planners, header, current_permit);
-        let secondary = SecondaryOutputs {
-            diagnostics: payload(&mut diagnostics),
-            budgets: payload(&mut budgets),
-            plan_states: payload(&mut plan_states),
-            outlooks: payload(&mut outlooks),
-        };
-        pool.account(shard, secondary);
+        pool.account(shard, secondary.outputs());
         let sent = (clock::monotonic_ns(), clock::unix_ns());
         if !current_permit.holds(clock::boot_ns()) {
             return unsent;
         }
-        unsent
-            + send(diagnostics, fleet, &header, sent)
-            + send(budgets, fleet, &header, sent)
-            + send(plan_states, fleet, &header, sent)
-            + send(outlooks, fleet, &header, sent)
+        unsent + secondary.send(fleet, &header, sent)
     }
 
     /// Sends planners the end event.
@@ -96,6 +112,10 @@ impl Outbox {
 
 /// The memory of an output's frame: `None` if the tick leaves it out.
 type Lent<'a, O> = Option<Result<Loan<'a, O>, SendError>>;
+
+fn flag<O: Output>(writer: &Writer<O>, sheds: bool) -> u32 {
+    O::SENT_IN.flag(sheds, O::FLOW.is_on_demand() && writer.readers() > 0)
+}
 
 fn loan<O: Output>(writer: &mut Writer<O>, robots: usize, flags: u32) -> Lent<'_, O> {
     O::SENT_IN.is_in(flags).then(|| writer.loan_to_fill(robots))

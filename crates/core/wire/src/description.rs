@@ -1,13 +1,11 @@
 //! The layouts as data. The C header and NumPy's types are made of them.
 
 use crate::{
-    Alarm, AnswerHeader, AnswerRow, Budget, BudgetHeader, ChargeState, Diagnostic,
-    DiagnosticHeader, DropCounts, DropReason, Forecast, ForecastHeader, InvalidReason, Level,
-    MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS, MAX_QUERY_VALUES, Outlook,
-    OutlookHeader, PlanState, PlanStateHeader, PlatformMemory, Quality, QueryHeader, QueryKind,
-    QueryRefusal, Refusal, Row, SCHEMA_VERSION, Sample, SampleHeader, StructLayout, answer_flag,
-    budget_flag, diagnostic_flag, forecast_flag, outlook_flag, plan_state_flag, platform_flag,
-    query_flag, sample_flag,
+    Alarm, AnswerHeader, AnswerRow, Channel, ChargeState, DropCounts, DropReason, ForEachChannel,
+    FrameRows, InvalidReason, Level, MAX_QUERY_CANDIDATES, MAX_QUERY_ROBOTS, MAX_QUERY_STEPS,
+    MAX_QUERY_VALUES, PlatformMemory, Quality, QueryHeader, QueryKind, QueryRefusal, Refusal, Row,
+    SCHEMA_VERSION, StructLayout, answer_flag, budget_flag, diagnostic_flag, each_channel,
+    forecast_flag, outlook_flag, plan_state_flag, platform_flag, query_flag, sample_flag,
 };
 
 /// Constants that belong together: bits of a field, or its codes.
@@ -32,29 +30,23 @@ pub struct Constant {
     pub doc: &'static str,
 }
 
-/// Structs that controllers, planners and clients use, each before those that contain it.
+/// Structs that controllers, planners and clients use, each before those that contain it: those of
+/// the channels whose rows are of robots, and of questions.
 #[must_use]
 pub fn layouts() -> Vec<StructLayout> {
-    vec![
-        Refusal::LAYOUT,
-        DropCounts::LAYOUT,
-        Sample::LAYOUT,
-        SampleHeader::LAYOUT,
-        Forecast::LAYOUT,
-        ForecastHeader::LAYOUT,
-        Diagnostic::LAYOUT,
-        PlatformMemory::LAYOUT,
-        DiagnosticHeader::LAYOUT,
-        Budget::LAYOUT,
-        BudgetHeader::LAYOUT,
-        Outlook::LAYOUT,
-        OutlookHeader::LAYOUT,
-        PlanState::LAYOUT,
-        PlanStateHeader::LAYOUT,
-        QueryHeader::LAYOUT,
-        AnswerHeader::LAYOUT,
-        AnswerRow::LAYOUT,
-    ]
+    struct OfRobots(Vec<StructLayout>);
+    impl ForEachChannel for OfRobots {
+        fn channel<C: Channel>(&mut self) {
+            if C::ROWS == FrameRows::Robots {
+                self.0.extend([C::Row::LAYOUT, C::Header::LAYOUT]);
+            }
+        }
+    }
+    let inner = [Refusal::LAYOUT, DropCounts::LAYOUT, PlatformMemory::LAYOUT];
+    let mut all = OfRobots(inner.to_vec());
+    each_channel(&mut all);
+    all.0.extend([QueryHeader::LAYOUT, AnswerHeader::LAYOUT, AnswerRow::LAYOUT]);
+    all.0
 }
 
 /// Bits and codes of the fields of [`layouts`].
@@ -95,8 +87,6 @@ fn codes() -> Vec<Constants> {
     let levels = [Level::Ok, Level::Warn, Level::Error, Level::Stale];
     let kinds =
         [("WhatIf", QueryKind::WhatIf), ("Idle", QueryKind::Idle), ("Follow", QueryKind::Follow)];
-    let reasons = (1..).map(InvalidReason::decode);
-    let reasons = reasons.take_while(|reason| *reason != InvalidReason::Unknown);
     let invalid = |reason: InvalidReason| (reason.name(), u64::from(reason.code()));
     let drop_reasons = DropReason::ALL.into_iter().enumerate();
     vec![
@@ -111,7 +101,7 @@ fn codes() -> Vec<Constants> {
                 ("Invalid", quality(Quality::Invalid(InvalidReason::Stale))),
             ],
         ),
-        of("INVALID", reasons.map(invalid).collect()),
+        of("INVALID", InvalidReason::ALL.map(invalid).to_vec()),
         of("LEVEL", levels.map(|level| (level.name(), u64::from(level.code()))).to_vec()),
         of("ALARM", Alarm::ALL.map(|alarm| (alarm.name(), u64::from(alarm.code()))).to_vec()),
         of(

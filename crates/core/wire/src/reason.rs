@@ -193,7 +193,8 @@ pub enum InvalidReason {
 }
 
 names! {
-    InvalidReason:
+    /// All reasons, in the order of their codes.
+    pub InvalidReason:
         Stale NotFinite PowerOutOfRange CommandOutOfRange BadFlags BadTime NoCommand NoReading
         ModelOutput NoFreshness BatteryOutOfRange
         ;

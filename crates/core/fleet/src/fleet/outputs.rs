@@ -1,14 +1,9 @@
 //! The outputs of a tick as a table. The worker sends them, and the verification of captures
 //! computes them again.
 
-use joulebus_wire::{
-    Budget, BudgetHeader, Budgets, Channel, Diagnostic, DiagnosticHeader, Diagnostics, Forecast,
-    ForecastHeader, Forecasts, Outlook, OutlookHeader, Outlooks, PlanState, PlanStateHeader,
-    PlanStates,
-};
+use joulebus_wire::{Channel, Forecast, ForecastHeader, Forecasts};
 
 use crate::fleet::Fleet;
-use crate::tick::outputs::secondary_outputs;
 
 /// A channel to which a tick sends a frame with a row for each robot.
 pub trait Output: Channel {
@@ -56,15 +51,16 @@ macro_rules! declare {
     ($($(#[doc = $doc:literal])* $rows:ident: $channel:ident, $row:ident, $get:ident,
         $computed:expr, |$fleet:ident, $forecasts:ident| $header:ident { $($fields:tt)* };)*
     ) => {
-        $(impl Output for $channel {
+        $(impl Output for joulebus_wire::$channel {
             const COMPUTED: &'static [&'static str] = &$computed;
 
-            fn header($fleet: &Fleet, $forecasts: &ForecastHeader) -> $header {
+            fn header($fleet: &Fleet, $forecasts: &ForecastHeader) -> joulebus_wire::$header {
+                use joulebus_wire::$header;
                 let ForecastHeader { schema, pid, worker_epoch, tick, .. } = *$forecasts;
                 $header { schema, pid, worker_epoch, tick, $($fields)* }
             }
 
-            fn row(fleet: &Fleet, place: usize) -> $row {
+            fn row(fleet: &Fleet, place: usize) -> joulebus_wire::$row {
                 fleet.$get(place)
             }
         })*
@@ -72,9 +68,9 @@ macro_rules! declare {
         /// Calls `each` with all outputs, the forecasts first.
         pub fn each_output(each: &mut impl ForEachOutput) {
             each.output::<Forecasts>();
-            $(each.output::<$channel>();)*
+            $(each.output::<joulebus_wire::$channel>();)*
         }
     };
 }
 
-secondary_outputs!(declare);
+crate::secondary_outputs!(declare);

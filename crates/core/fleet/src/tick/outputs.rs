@@ -8,6 +8,7 @@ use joulebus_wire::{Budget, Diagnostic, Forecast, Outlook, PlanState};
 /// channel, the row, its function of the fleet, the fields of the header that samples and settings
 /// determine, and the header beside that of the forecasts. The other fields are those of a process,
 /// and of the times at which it sends.
+#[macro_export]
 macro_rules! secondary_outputs {
     ($declare:ident) => {
         $declare! {
@@ -42,7 +43,6 @@ macro_rules! secondary_outputs {
         }
     };
 }
-pub(crate) use secondary_outputs;
 
 /// Output of [`crate::Shard::run`]: slices of the shard's length, or empty ones for outputs that
 /// are left out.

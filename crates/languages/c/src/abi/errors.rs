@@ -71,35 +71,45 @@ pub extern "C" fn joulebus_error_name(error: i32) -> *const c_char {
     name.copied().unwrap_or(c"unknown").as_ptr()
 }
 
-/// The name of a variant, with the zero that C needs.
-macro_rules! name {
-    ($value:expr, $of:ident: $($variant:ident),* $(,)?) => {
-        match $value {
-            $($of::$variant => concat!(stringify!($variant), "\0"),)*
-            // A test compares all names.
-            _ => "Unknown\0",
+/// Bytes of the longest name of a code, with the zero that C needs.
+const MAX_NAME: usize = 24;
+
+/// The names of all variants, each with the zero that C needs.
+macro_rules! names {
+    ($of:ident) => {{
+        let mut names = [[0; MAX_NAME]; $of::ALL.len()];
+        let mut at = 0;
+        while at < names.len() {
+            let name = $of::ALL[at].name().as_bytes();
+            let (start, zeros) = names[at].split_at_mut(name.len());
+            assert!(!zeros.is_empty());
+            start.copy_from_slice(name);
+            at += 1;
         }
-    };
+        names
+    }};
+}
+
+static ALARMS: [[u8; MAX_NAME]; Alarm::ALL.len()] = names!(Alarm);
+static INVALID_REASONS: [[u8; MAX_NAME]; InvalidReason::ALL.len()] = names!(InvalidReason);
+
+/// The name of a code. The first is 1.
+fn name(names: &'static [[u8; MAX_NAME]], code: u16) -> *const c_char {
+    let name = code.checked_sub(1).and_then(|at| names.get(usize::from(at)));
+    name.map_or(c"Unknown".as_ptr(), |name| name.as_ptr().cast())
 }
 
 /// The name of a diagnostic's alarm, like "BatteryLow".
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_alarm_name(code: u16) -> *const c_char {
-    let name = name!(Alarm::decode(code), Alarm: NoData, OutOfRange, StuckSensor, HeldTooLong, BiasHigh,
-        BiasLow, NoiseHigh, ModelMismatch, OutOfTraining, OfflineCharging, DeadlineMissed, WatchdogStop,
-        CannotReturn, BatteryCritical, BatteryLow, SocImplausible, LevelHigh, LevelLow, BatteryWorn,
-        None);
-    name.as_ptr().cast()
+    if code == Alarm::None.code() { c"None".as_ptr() } else { name(&ALARMS, code) }
 }
 
 /// The name of the reason why a robot has no forecast, like "NotFinite": the detail of
 /// JOULEBUS_QUALITY_INVALID.
 #[unsafe(no_mangle)]
 pub extern "C" fn joulebus_invalid_name(code: u16) -> *const c_char {
-    let name = name!(InvalidReason::decode(code), InvalidReason: Stale, NotFinite, PowerOutOfRange,
-        CommandOutOfRange, BadFlags, BadTime, NoCommand, NoReading, ModelOutput, NoFreshness,
-        BatteryOutOfRange);
-    name.as_ptr().cast()
+    name(&INVALID_REASONS, code)
 }
 
 /// The name of a diagnostic's level, like "warn".
