@@ -20,3 +20,8 @@ pub use not_taken::NotTaken;
 pub use pace::{Grid, Pace, Slot};
 pub use publisher::{PublishError, Publisher, Sent};
 pub use state::{Charger, RobotState};
+
+/// The columns of other languages. For the crate `joulebus-python`.
+pub mod columns {
+    pub use crate::state::{COLUMNS, Column, SetColumn};
+}

@@ -53,6 +53,58 @@ pub struct RobotState {
     pub implausible: bool,
 }
 
+/// A value of a [`RobotState`] by its name in other languages, where columns hold it for all robots.
+#[derive(Debug, Clone, Copy)]
+pub struct Column {
+    /// Its name.
+    pub name: &'static str,
+    /// What it states, with its unit.
+    pub doc: &'static str,
+    /// How it is set.
+    pub set: SetColumn,
+}
+
+/// Sets a value of a robot's state.
+#[derive(Debug, Clone, Copy)]
+pub enum SetColumn {
+    /// A number, or `None` if it is unknown.
+    Number(fn(&mut RobotState, Option<f32>)),
+    /// A truth value.
+    Truth(fn(&mut RobotState, bool)),
+}
+
+use SetColumn::{Number, Truth};
+
+/// Every column.
+#[rustfmt::skip]
+pub const COLUMNS: &[Column] = &[
+    Column { name: "v", doc: "as commanded, m/s",
+        set: Number(|robot, value| robot.v_mps = value) },
+    Column { name: "omega", doc: "as commanded, rad/s",
+        set: Number(|robot, value| robot.omega_radps = value) },
+    Column { name: "power", doc: "W", set: Number(|robot, value| robot.power_w = value) },
+    Column { name: "voltage", doc: "V", set: Number(|robot, value| robot.voltage_v = value) },
+    Column { name: "current", doc: "A, positive while discharging",
+        set: Number(|robot, value| robot.current_a = value) },
+    Column { name: "soc", doc: "state of charge, 0 to 1",
+        set: Number(|robot, value| robot.soc = value) },
+    Column { name: "return_j", doc: "energy needed to return, J",
+        set: Number(|robot, value| robot.return_j = value) },
+    Column { name: "held", doc: "the reading repeats the one before",
+        set: Truth(|robot, value| robot.held = value) },
+    // A charger that reports "full" is connected, in whichever order the columns are given.
+    Column { name: "charging", doc: "on its charger",
+        set: Truth(|robot, value| if value && robot.charger == Charger::Disconnected {
+            robot.charger = Charger::Charging;
+        }) },
+    Column { name: "full", doc: "on its charger, which reports that the battery is full",
+        set: Truth(|robot, value| if value { robot.charger = Charger::Full }) },
+    Column { name: "swapped", doc: "the battery has been exchanged since the last frame",
+        set: Truth(|robot, value| robot.swapped = value) },
+    Column { name: "off", doc: "switched off until the next frame",
+        set: Truth(|robot, value| robot.off = value) },
+];
+
 /// A robot's charger.
 ///
 /// [`RobotState`] has an example.

@@ -62,12 +62,15 @@ mod _native {
     #[cfg(feature = "lab")]
     #[pymodule_export]
     use crate::training::train_rows;
+    use joulebus_publisher::columns::COLUMNS;
     use pyo3::prelude::{Bound, PyModule, PyModuleMethods as _, PyResult};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("FEATURE_NAMES", joulebus_predictor::FEATURE_NAMES)?;
+        let columns = COLUMNS.iter().map(|column| (column.name, column.doc));
+        module.add("PUBLISHED_COLUMNS", columns.collect::<Vec<_>>())?;
         for (constant, payload) in [
             ("SAMPLE", "Sample"),
             ("FORECAST", "Forecast"),

@@ -5,10 +5,9 @@ use std::ffi::CString;
 use std::path::PathBuf;
 use std::sync::Mutex;
 
+use joulebus_publisher::columns::{COLUMNS, SetColumn};
 use joulebus_publisher::plausibility::{Kind, Source};
-use joulebus_publisher::{
-    Charger, Config, Judgement, Publisher as Port, Refused, RobotState, clock,
-};
+use joulebus_publisher::{Config, Judgement, Publisher as Port, Refused, RobotState, clock};
 use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
@@ -157,21 +156,21 @@ fn robots(ids: &Bound<'_, PyAny>, columns: &Bound<'_, PyDict>) -> PyResult<Vec<R
     let mut robots: Vec<RobotState> = ids.into_iter().map(RobotState::new).collect();
     for (name, given) in columns {
         let name: String = name.extract()?;
-        let Some(set) = setter(&name) else {
-            return Err(PyValueError::new_err(format!(
-                "there is no column {name}, allowed are v, omega, power, voltage, current, soc, return_j, held, \
-                 charging, full, swapped, off"
-            )));
+        let Some(column) = COLUMNS.iter().find(|column| column.name == name) else {
+            let allowed: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
+            let allowed = allowed.join(", ");
+            let error = format!("there is no column {name}, allowed are {allowed}");
+            return Err(PyValueError::new_err(error));
         };
-        match set {
-            Setter::Number(set) => {
+        match column.set {
+            SetColumn::Number(set) => {
                 let found = Numbers::read(&name, &given)?;
                 let values = spread(&name, &found.values, &found.shape, robots.len())?;
                 for (robot, value) in robots.iter_mut().zip(values) {
                     set(robot, Some(value).filter(|value| !value.is_nan()));
                 }
             }
-            Setter::Truth(set) => {
+            SetColumn::Truth(set) => {
                 let (values, shape) = truths(&name, &given)?;
                 let values = spread(&name, &values, &shape, robots.len())?;
                 for (robot, value) in robots.iter_mut().zip(values) {
@@ -181,39 +180,6 @@ fn robots(ids: &Bound<'_, PyAny>, columns: &Bound<'_, PyDict>) -> PyResult<Vec<R
         }
     }
     Ok(robots)
-}
-
-enum Setter {
-    Number(fn(&mut RobotState, Option<f32>)),
-    Truth(fn(&mut RobotState, bool)),
-}
-
-fn setter(name: &str) -> Option<Setter> {
-    use Setter::{Number, Truth};
-    Some(match name {
-        "v" => Number(|robot, value| robot.v_mps = value),
-        "omega" => Number(|robot, value| robot.omega_radps = value),
-        "power" => Number(|robot, value| robot.power_w = value),
-        "voltage" => Number(|robot, value| robot.voltage_v = value),
-        "current" => Number(|robot, value| robot.current_a = value),
-        "soc" => Number(|robot, value| robot.soc = value),
-        "return_j" => Number(|robot, value| robot.return_j = value),
-        "held" => Truth(|robot, value| robot.held = value),
-        // A charger that reports "full" is connected, in whichever order the columns are given.
-        "charging" => Truth(|robot, value| {
-            if value && robot.charger == Charger::Disconnected {
-                robot.charger = Charger::Charging;
-            }
-        }),
-        "full" => Truth(|robot, value| {
-            if value {
-                robot.charger = Charger::Full;
-            }
-        }),
-        "swapped" => Truth(|robot, value| robot.swapped = value),
-        "off" => Truth(|robot, value| robot.off = value),
-        _ => return None,
-    })
 }
 
 /// One value for each robot: a single one is for all.

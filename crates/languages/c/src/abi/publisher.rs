@@ -2,7 +2,7 @@
 
 use std::ffi::c_char;
 
-use ::joulebus_publisher::{Charger, Config, PublishError, Publisher, RobotState, Sent, clock};
+use ::joulebus_publisher::{Config, PublishError, Publisher, RobotState, Sent, clock};
 use joulebus_wire::{Sample, sample_flag};
 
 use crate::abi::types::{
@@ -75,7 +75,7 @@ pub unsafe extern "C" fn joulebus_publisher_publish(
         let robots = unsafe { array("robots", robots, count) }?;
         check(robots)?;
         publish(publisher, sent, |publisher| {
-            publisher.publish_intended(due(intended_ns), robots.iter().map(state))
+            publisher.publish_intended(due(intended_ns), robots.iter().map(RobotState::from))
         })
     })
 }
@@ -195,30 +195,4 @@ fn check(robots: &[joulebus_robot_state]) -> Result<(), Failure> {
             robot.robot, robot.flags, robot.reserved
         ))),
     }
-}
-
-fn state(of: &joulebus_robot_state) -> RobotState {
-    let has = |flag| of.flags & flag != 0;
-    let known = |flag, value: f32| has(flag).then_some(value);
-    let mut state = RobotState::new(of.robot);
-    state.v_mps = known(sample_flag::V, of.v_mps);
-    state.omega_radps = known(sample_flag::OMEGA, of.omega_radps);
-    state.power_w = known(sample_flag::POWER, of.power_w);
-    state.measured_ns = (of.measured_ns != 0).then_some(of.measured_ns);
-    state.voltage_v = known(sample_flag::VOLTAGE, of.voltage_v);
-    state.current_a = known(sample_flag::CURRENT, of.current_a);
-    state.held = has(sample_flag::HELD);
-    state.soc = known(sample_flag::SOC, of.soc);
-    state.return_j = known(sample_flag::RETURN, of.return_j);
-    // A charger that reports "full" is connected.
-    state.charger = if has(sample_flag::FULL) {
-        Charger::Full
-    } else if has(sample_flag::CHARGING) {
-        Charger::Charging
-    } else {
-        Charger::Disconnected
-    };
-    state.swapped = has(sample_flag::SWAPPED);
-    state.off = has(sample_flag::OFF);
-    state
 }

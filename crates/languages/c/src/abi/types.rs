@@ -3,9 +3,10 @@
 
 use std::ffi::c_char;
 
+use ::joulebus_publisher::{Charger, RobotState};
 use joulebus_wire::{
     AnswerRow, Budget, BudgetHeader, Diagnostic, DiagnosticHeader, Forecast, ForecastHeader,
-    Outlook, OutlookHeader,
+    Outlook, OutlookHeader, sample_flag,
 };
 
 /// Result of a call.
@@ -91,6 +92,34 @@ pub struct joulebus_robot_state {
     pub return_j: f32,
     /// 0.
     pub reserved: u32,
+}
+
+impl From<&joulebus_robot_state> for RobotState {
+    fn from(of: &joulebus_robot_state) -> Self {
+        let has = |flag| of.flags & flag != 0;
+        let known = |flag, value: f32| has(flag).then_some(value);
+        let mut state = Self::new(of.robot);
+        state.v_mps = known(sample_flag::V, of.v_mps);
+        state.omega_radps = known(sample_flag::OMEGA, of.omega_radps);
+        state.power_w = known(sample_flag::POWER, of.power_w);
+        state.measured_ns = (of.measured_ns != 0).then_some(of.measured_ns);
+        state.voltage_v = known(sample_flag::VOLTAGE, of.voltage_v);
+        state.current_a = known(sample_flag::CURRENT, of.current_a);
+        state.held = has(sample_flag::HELD);
+        state.soc = known(sample_flag::SOC, of.soc);
+        state.return_j = known(sample_flag::RETURN, of.return_j);
+        // A charger that reports "full" is connected.
+        state.charger = if has(sample_flag::FULL) {
+            Charger::Full
+        } else if has(sample_flag::CHARGING) {
+            Charger::Charging
+        } else {
+            Charger::Disconnected
+        };
+        state.swapped = has(sample_flag::SWAPPED);
+        state.off = has(sample_flag::OFF);
+        state
+    }
 }
 
 /// A frame that was sent.

@@ -9,6 +9,7 @@ _Layout = tuple[list[tuple[str, str, int]], int]
 
 __version__: Final[str]
 FEATURE_NAMES: Final[list[str]]
+PUBLISHED_COLUMNS: Final[list[tuple[str, str]]]
 SAMPLE: Final[_Layout]
 FORECAST: Final[_Layout]
 DIAGNOSTIC: Final[_Layout]

@@ -446,11 +446,8 @@ class Publisher(_Connection):
     def publish(self, ids: Any, *, intended_ns: int | None = None, **columns: Any) -> int:
         """Sends one frame and returns the number of processes that read it: 0 means that no worker runs.
 
-        ids: ids of robots, each once. Columns have one element for each robot, or one number for all:
-        v (m/s) and omega (rad/s) as commanded, power (W), voltage (V), current (A, positive while discharging),
-        soc (0 to 1), return_j (energy needed to return, J), held (the reading repeats the one before), charging, full
-        (which implies charging), swapped and off (switched off until the next frame) are truth values. A NaN, or no column, means unknown. `intended_ns`: when
-        the frame was due (`time.monotonic_ns`).
+        ids: ids of robots, each once. Columns have one element for each robot, or one number for all. A NaN, or no
+        column, means unknown. `intended_ns`: when the frame was due (`time.monotonic_ns`).
         """
         readers, _, _ = self._ports.publish(ids, columns, intended_ns)
         return readers
@@ -474,6 +471,10 @@ class Publisher(_Connection):
     def capacity(self) -> int:
         """Most samples in a frame."""
         return self._ports.counts()[2]
+
+
+_LISTED = "".join(f"\n        - {name}: {doc}" for name, doc in _native.PUBLISHED_COLUMNS)
+Publisher.publish.__doc__ = f"{Publisher.publish.__doc__}\n        The columns:\n{_LISTED}\n"
 
 
 def _table(found: tuple[int, bytes] | None, dtype: np.dtype) -> Table | None:
