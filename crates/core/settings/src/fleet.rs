@@ -73,6 +73,31 @@ pub struct AlarmSettings {
     pub training_margin: f32,
 }
 
+/// As in a file without these keys.
+impl Default for Intake {
+    fn default() -> Self {
+        Self {
+            max_samples_per_tick: 8,
+            max_jump_ns: 60_000_000_000,
+            leave_after_ns: 30_000_000_000,
+            max_sources: 64,
+        }
+    }
+}
+
+/// As in a file without these keys.
+impl Default for IntervalSettings {
+    fn default() -> Self {
+        Self { coverage: 0.9, rate: 0.2 }
+    }
+}
+
+impl Default for AlarmSettings {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}
+
 /// When a tick is due.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Policy {
@@ -86,6 +111,19 @@ pub enum Policy {
 }
 
 impl AlarmSettings {
+    /// As in a file without these keys.
+    pub const DEFAULT: Self = Self {
+        bias_weight: 0.005,
+        noise_weight: 0.005,
+        noise_limit: 15.0,
+        mismatch_limit: 2.0,
+        level_limit: 8.0,
+        settle_samples: 150,
+        raise_samples: 20,
+        clear_samples: 90,
+        training_margin: 0.1,
+    };
+
     /// The limits that a platform may replace.
     pub const fn limits(&self) -> AlarmLimits {
         AlarmLimits {
@@ -189,24 +227,9 @@ pub(crate) mod tests {
     pub(crate) fn settings() -> FleetSettings {
         FleetSettings {
             capacity: 10,
-            intake: Intake {
-                max_samples_per_tick: 8,
-                max_jump_ns: 60_000_000_000,
-                leave_after_ns: 30_000_000_000,
-                max_sources: 4,
-            },
-            interval: IntervalSettings { coverage: 0.9, rate: 0.2 },
-            alarms: AlarmSettings {
-                bias_weight: 0.005,
-                noise_weight: 0.005,
-                noise_limit: 15.0,
-                mismatch_limit: 1.5,
-                level_limit: 11.0,
-                settle_samples: 300,
-                raise_samples: 15,
-                clear_samples: 90,
-                training_margin: 0.1,
-            },
+            intake: Intake { max_sources: 4, ..Intake::default() },
+            interval: IntervalSettings::default(),
+            alarms: AlarmSettings::default(),
             platforms: ["one", "two"].map(platform).into(),
         }
     }

@@ -65,7 +65,7 @@ pub fn settings(capacity: u32) -> FleetSettings {
             leave_after_ns: 2_500 * MS,
             max_sources: 4,
         },
-        interval: IntervalSettings { coverage: 0.9, rate: 0.05 },
+        interval: IntervalSettings { rate: 0.05, ..IntervalSettings::default() },
         alarms: AlarmSettings {
             bias_weight: 0.01,
             noise_weight: 0.01,
@@ -75,7 +75,7 @@ pub fn settings(capacity: u32) -> FleetSettings {
             settle_samples: 20,
             raise_samples: 3,
             clear_samples: 10,
-            training_margin: 0.1,
+            ..AlarmSettings::default()
         },
         platforms: vec![
             Platform { battery: Some(battery()), ..platform("wheeled", 0, PERIOD_NS) },

@@ -207,7 +207,7 @@ mod tests {
         settle_samples: 50,
         raise_samples: 5,
         clear_samples: 30,
-        training_margin: 0.1,
+        ..AlarmSettings::DEFAULT
     };
 
     /// A sum of uniforms: approximately normal, variance 1.

@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 
 use joulebus_config::{
     Checkpoint, Config, ConfigError, Demo, File, KEYS, ModelSource, builtin_model, builtin_models,
-    builtin_platforms, explain, explanations, keys,
+    builtin_platforms, explain, explanations, fleet_file, keys,
 };
 use joulebus_predictor::{FeatureSet, Network};
-use joulebus_settings::Policy;
-use joulebus_testkit::assert_contains;
+use joulebus_settings::{AlarmSettings, Intake, IntervalSettings, Policy};
+use joulebus_testkit::{assert_contains, assert_page_contains};
 
 fn configs() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../configs")
@@ -48,8 +48,45 @@ fn shipped_fleets_load_without_a_warning() {
     }
 }
 
+/// Inserts the keys that the shipped fleet lacks, each with its comment and default after the key
+/// before it.
+fn add_missing_keys() {
+    let mut text = shipped("fleet.toml");
+    let generated = fleet_file("", &[]);
+    let sections = |text: &str| -> Vec<String> { text.split("\n[").map(str::to_owned).collect() };
+    let mut before = String::new();
+    for key in KEYS.iter().filter(|key| key.file == File::Fleet) {
+        let line = format!("\n{} = ", key.name());
+        let section = format!("{}]", key.path.split('.').next().unwrap_or_default());
+        let parts = sections(&text);
+        let Some(at) = parts.iter().position(|part| part.starts_with(&section)) else { continue };
+        if !parts[at].contains(&line) && !parts[at].contains(&format!("\n# {}", line.trim_start()))
+        {
+            let own = sections(&generated).into_iter().find(|part| part.starts_with(&section));
+            let own = own.expect("a section of the generated file");
+            let block = own.split("\n\n").find(|block| block.contains(&line));
+            let block =
+                block.unwrap_or_else(|| panic!("{}: add it by hand, it has no default", key.path));
+            let found = parts[at].find(&before);
+            let found = found.or_else(|| parts[at].find(&format!("\n# {}", before.trim_start())));
+            let end = found.map_or(section.len(), |from| {
+                parts[at][from + 1..].find('\n').map_or(parts[at].len(), |to| from + 1 + to)
+            });
+            let mut parts = parts;
+            parts[at].insert_str(end, &format!("\n\n{}", block.trim()));
+            text = parts.join("\n[");
+        }
+        before = line;
+    }
+    fs::write(configs().join("fleet.toml"), text).expect("the shipped file can be written");
+}
+
+/// With `JOULEBUS_WRITE=1` it adds missing keys to the fleet's file first.
 #[test]
 fn every_key_is_annotated_in_the_shipped_files() {
+    if std::env::var_os("JOULEBUS_WRITE").is_some() {
+        add_missing_keys();
+    }
     let fleet = words(&shipped("fleet.toml"));
     for key in KEYS {
         // Purpose, unit, range and default, from the table, directly before the key.
@@ -74,6 +111,27 @@ fn every_key_is_annotated_in_the_shipped_files() {
     }
 }
 
+/// `JOULEBUS_WRITE=1 cargo test -p joulebus-config --test all shipped` writes the page.
+#[test]
+fn the_page_about_keys_has_every_key() {
+    let head = "| key | meaning | unit | allowed | default |\n|---|---|---|---|---|\n";
+    let mut tables: Vec<(&str, String)> = Vec::new();
+    for key in KEYS {
+        let section = key.path.rsplit_once('.').map_or("", |(section, _)| section);
+        if tables.last().is_none_or(|(last, _)| *last != section) {
+            tables.push((section, head.to_owned()));
+        }
+        let cell = |text: &str| text.replace('|', "\\|");
+        let (name, doc, default) = (key.name(), cell(key.doc), key.default_words());
+        let default = default.strip_prefix("default ").unwrap_or(&default);
+        let default = default.strip_prefix("default: ").unwrap_or(default);
+        let row = format!("| `{name}` | {doc} | {} | {} | {default} |\n", key.unit, key.range());
+        tables.last_mut().expect("a table").1 += &row;
+    }
+    let tables: Vec<String> = tables.into_iter().map(|(_, table)| table).collect();
+    assert_page_contains("docs/reference/config.md", &tables);
+}
+
 #[test]
 fn defaults_in_the_table_equal_those_of_missing_keys() {
     let least = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"platforms/gternal.toml\"\n\
@@ -81,6 +139,9 @@ fn defaults_in_the_table_equal_those_of_missing_keys() {
     let defaults = Config::parse(least, &configs()).unwrap_or_else(|error| panic!("{error}"));
     let shipped = load("fleet.toml").unwrap();
     assert_eq!(defaults.settings(), shipped.settings());
+    assert_eq!(defaults.settings().intake, Intake::default());
+    assert_eq!(defaults.settings().interval, IntervalSettings::default());
+    assert_eq!(defaults.settings().alarms, AlarmSettings::default());
     assert_eq!(defaults.policy(), shipped.policy());
     assert_eq!(defaults.models(), shipped.models());
     assert_eq!(defaults.root(), shipped.root());
