@@ -6,7 +6,7 @@ use std::time::Instant;
 use crate::arguments::BenchOptions;
 use anyhow::Context as _;
 use joulebus_energy::{CommandModel, EnergyModel, EnergySample, EnergyState, TERMS};
-use joulebus_plan::{Answer, Candidates, Fleet, Frames, Platform, Robot};
+use joulebus_plan::{Answer, Candidates, Frames, PlanFleet, Platform, Robot};
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };
@@ -117,7 +117,7 @@ fn commands(count: usize, seed: u64) -> (Vec<f32>, Vec<f32>) {
 }
 
 /// The demo's platform with an energy model that reads all of its terms.
-fn fleet() -> anyhow::Result<Fleet> {
+fn fleet() -> anyhow::Result<PlanFleet> {
     let settings = tick::uniform_settings(1)?;
     let energy = EnergyModel {
         command: CommandModel { weights: [0.3; TERMS], ..CommandModel::constant(3.0) },
@@ -128,7 +128,7 @@ fn fleet() -> anyhow::Result<Fleet> {
         ..EnergyModel::untrained(3.6)
     };
     let platform = Platform::new(settings.platforms[0].clone(), energy, 1);
-    Ok(Fleet::of(vec![platform], settings.fingerprint()))
+    Ok(PlanFleet::of(vec![platform], settings.fingerprint()))
 }
 
 /// The rows of a robot.
@@ -140,7 +140,7 @@ struct Rows {
 }
 
 impl Rows {
-    fn new(fleet: &Fleet) -> Self {
+    fn new(fleet: &PlanFleet) -> Self {
         let mut energy = EnergyState::new(0);
         for step in 0..600u16 {
             let sample = EnergySample {
@@ -181,7 +181,7 @@ impl Rows {
         }
     }
 
-    fn robot<'a>(&self, fleet: &'a Fleet) -> Option<Robot<'a>> {
+    fn robot<'a>(&self, fleet: &'a PlanFleet) -> Option<Robot<'a>> {
         fleet.robot(&Frames {
             header: &self.header,
             state: &self.state,

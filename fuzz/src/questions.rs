@@ -8,7 +8,7 @@ use std::sync::OnceLock;
 
 use joulebus_capture_format::Query;
 use joulebus_fleet::Fleet;
-use joulebus_plan::{Fleet as PlanFleet, Path, Plan, Point, Question, Refused, Reply, RobotRows};
+use joulebus_plan::{Path, Plan, PlanFleet, Point, Question, Refused, Reply, RobotRows};
 use joulebus_testkit_fleets::{MS, PERIOD_NS, Source, healthy};
 use joulebus_wire::{
     AnswerHeader, Budget, MAX_ANSWER_WORDS, PlanState, QueryHeader, SCHEMA_VERSION, answer_parts,

@@ -35,13 +35,13 @@ pub(crate) struct Args {
 
 #[derive(Debug, Serialize)]
 struct Status {
-    fleets: Vec<Fleet>,
+    fleets: Vec<FleetStatus>,
     /// Roots of other users who run joulebus.
     others: Vec<Other>,
 }
 
 #[derive(Debug, Serialize)]
-struct Fleet {
+struct FleetStatus {
     fleet: String,
     root: PathBuf,
     /// Pid of the worker, or of a link in its place. Null if none runs, 0 if its pid is not visible.
@@ -81,7 +81,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
             // Its lock and directory do not depend on the prefix.
             let prefix = domain.as_ref().map_or("jb_", Domain::prefix);
             if let Ok(domain) = Domain::new(&name, root, prefix) {
-                fleets.push(Fleet::look(&domain, config.as_ref()));
+                fleets.push(FleetStatus::look(&domain, config.as_ref()));
             }
         }
     }
@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     Ok(Outcome::Done)
 }
 
-impl Fleet {
+impl FleetStatus {
     fn look(domain: &Domain, config: Option<&Config>) -> Self {
         let owner = WorkerLock::owner(domain).ok().flatten();
         let pid = owner.and_then(|owner| owner.pid);

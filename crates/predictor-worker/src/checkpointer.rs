@@ -9,7 +9,7 @@ use std::time::Duration;
 
 use joulebus_bus::{Background, Bus, Domain, Reader, Steps, clock};
 use joulebus_config::Config;
-use joulebus_connect::standby::Places;
+use joulebus_connect::standby::StandbyFiles;
 use joulebus_fleet::StatedBattery;
 use joulebus_wire::{Budgets, Diagnostics, DropCounts, DropReason, Forecasts};
 
@@ -69,19 +69,26 @@ pub(crate) struct Failures {
     pub unsaved: AtomicBool,
 }
 
+/// What the checkpointer shares with the worker.
+pub(crate) struct WorkerEnds {
+    pub(crate) failures: Arc<Failures>,
+    pub(crate) errors: Arc<SentErrors>,
+    pub(crate) orders: KeyframeOrders,
+    pub(crate) stated: Receiver<StatedBattery>,
+    /// Number of stated batteries that the checkpointer has taken.
+    pub(crate) taken: Arc<AtomicU64>,
+}
+
 /// Starts the checkpointer and waits until it reads. `before`: the ledger of an earlier run and its
 /// location. Its last step writes the last checkpoint.
 pub(crate) fn start(
     domain: &Domain,
     config: &Config,
     before: SavedLedger,
-    (failures, errors): (Arc<Failures>, Arc<SentErrors>),
-    (orders, stated): (KeyframeOrders, (Receiver<StatedBattery>, Arc<AtomicU64>)),
+    ends: WorkerEnds,
 ) -> Result<Background, OpenError> {
     let (domain, config) = (domain.clone(), config.clone());
-    Background::start(THREAD, move || {
-        Checkpointer::open(&domain, &config, before, (failures, errors), (orders, stated))
-    })
+    Background::start(THREAD, move || Checkpointer::open(&domain, &config, before, ends))
 }
 
 struct Checkpointer {
@@ -93,8 +100,8 @@ struct Checkpointer {
     _bus: Bus,
     failures: Arc<Failures>,
     errors: Arc<SentErrors>,
-    /// Stated batteries, and how many were taken.
-    stated: (Receiver<StatedBattery>, Arc<AtomicU64>),
+    stated: Receiver<StatedBattery>,
+    taken: Arc<AtomicU64>,
     checkpoint: Checkpoint,
     /// None if the ledger is not saved.
     files: Option<LedgerFiles>,
@@ -118,8 +125,7 @@ impl Checkpointer {
         domain: &Domain,
         config: &Config,
         SavedLedger { checkpoint, files }: SavedLedger,
-        (failures, errors): (Arc<Failures>, Arc<SentErrors>),
-        (orders, stated): (KeyframeOrders, (Receiver<StatedBattery>, Arc<AtomicU64>)),
+        WorkerEnds { failures, errors, orders, stated, taken }: WorkerEnds,
     ) -> Result<Self, OpenError> {
         let bus = Bus::join(domain, "checkpointer")?;
         let limits = config.limits();
@@ -134,12 +140,14 @@ impl Checkpointer {
                 &bus,
                 &limits,
                 config.settings(),
-                (orders, Places::new(config).keyframe),
+                orders,
+                StandbyFiles::new(config).keyframe,
             )?,
             _bus: bus,
             failures,
             errors,
             stated,
+            taken,
             checkpoint,
             files,
             // A capacity that is lowered takes no account.
@@ -164,12 +172,12 @@ impl Checkpointer {
     /// Reads the budgets, then takes the statements that were there before: what was sent before a
     /// statement is known when it is taken.
     fn read(&mut self) {
-        let stated: Vec<StatedBattery> = self.stated.0.try_iter().collect();
+        let stated: Vec<StatedBattery> = self.stated.try_iter().collect();
         self.read_budgets();
         for stated in &stated {
             self.checkpoint.state(stated);
             self.changed = true;
-            self.stated.1.fetch_add(1, Ordering::Relaxed);
+            self.taken.fetch_add(1, Ordering::Relaxed);
         }
     }
 

@@ -4,7 +4,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::{Bus, IncomingFrame, Limits, OpenError, Writer, clock, process_id};
-use joulebus_wire::{SCHEMA_VERSION, Statement, TakenFrame, TickHeader, Ticks};
+use joulebus_wire::{FrameOrder, SCHEMA_VERSION, Statement, TakenFrame, TickHeader, Ticks};
 
 /// Collects the frames that ingest takes and the statements of persons, and sends the list after each tick.
 #[derive(Debug)]
@@ -58,20 +58,13 @@ impl Journal {
         }
     }
 
-    /// Sends the journal of tick `tick` of the worker's run `worker_epoch`, and begins the next
-    /// one. Failures are counted in `unsent`.
-    pub(crate) fn send(
-        &mut self,
-        (worker_epoch, tick): (u64, u64),
-        start_ns: u64,
-        flags: u32,
-        unsent: &AtomicU64,
-    ) {
+    /// Sends the journal of a tick, and begins the next one. Failures are counted in `unsent`.
+    pub(crate) fn send(&mut self, tick: FrameOrder, start_ns: u64, flags: u32, unsent: &AtomicU64) {
         let header = TickHeader {
             schema: SCHEMA_VERSION,
             pid: process_id(),
-            worker_epoch,
-            tick,
+            worker_epoch: tick.run,
+            tick: tick.number,
             start_ns,
             sent_ns: clock::monotonic_ns(),
             flags,

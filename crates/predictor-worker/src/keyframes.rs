@@ -13,7 +13,7 @@ use joulebus_bus::{Bus, Limits, OpenError, Writer, clock, process_id};
 use joulebus_connect::standby::SavedState;
 use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
-use joulebus_wire::{SCHEMA_VERSION, State, StateHeader, fnv1a};
+use joulebus_wire::{FrameOrder, SCHEMA_VERSION, State, StateHeader, fnv1a};
 
 use crate::standby::watch::CurrentPermit;
 
@@ -76,14 +76,14 @@ pub(crate) fn keyframes(current_permit: Arc<CurrentPermit>) -> (Keyframes, Keyfr
 }
 
 impl Keyframes {
-    /// Copies the state after tick `tick` of the worker's run `worker_epoch`, if it was requested.
-    pub(crate) fn offer(&self, fleet: &Fleet, (worker_epoch, tick): (u64, u64)) {
+    /// Copies the state after a tick, if it was requested.
+    pub(crate) fn offer(&self, fleet: &Fleet, tick: FrameOrder) {
         let Ok(mut keyframe) = self.asked.try_recv() else {
             return;
         };
         let taken_ns = clock::monotonic_ns();
         fleet.state_into(&mut keyframe.state);
-        (keyframe.worker_epoch, keyframe.tick) = (worker_epoch, tick);
+        (keyframe.worker_epoch, keyframe.tick) = (tick.run, tick.number);
         keyframe.copied_in_ns = clock::monotonic_ns().saturating_sub(taken_ns);
         keyframe.taken_ns = taken_ns;
         // Fails only if the checkpointer has ended, and then the worker ends too.
@@ -124,7 +124,8 @@ impl KeyframeSender {
         bus: &Bus,
         limits: &Limits,
         settings: &FleetSettings,
-        (orders, file): (KeyframeOrders, PathBuf),
+        orders: KeyframeOrders,
+        file: PathBuf,
     ) -> Result<Self, OpenError> {
         let mut sender = Self {
             writer: bus.writer(limits)?,
@@ -154,6 +155,11 @@ impl KeyframeSender {
     }
 
     /// Requests a state if it is due, receives a finished one, and sends a part of it.
+    ///
+    /// 1. A new reader, or the end of the interval, asks the tick for a copy of its state.
+    /// 2. The tick copies between two ticks, and hands the copy over.
+    /// 3. The copy is encoded, and sent in pieces, a few in each call: no burst fills the channel.
+    /// 4. After the last piece the memory of the copy waits for the next request.
     pub(crate) fn poll(&mut self) {
         self.ask_if_wanted();
         if let Ok(keyframe) = self.orders.taken.try_recv() {

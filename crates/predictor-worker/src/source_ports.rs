@@ -8,7 +8,7 @@ const MAX_PORTS: usize = 256;
 const LOOK_EVERY_NS: u64 = 100_000_000;
 
 /// A run of a source: its id and its epoch.
-type Run = (u64, u64);
+type SourceRun = (u64, u64);
 
 /// The ports that have sent frames of sources on this host. Frames that a link passed on are not
 /// among them: their source may live on when the link ends.
@@ -24,7 +24,7 @@ struct SourcePort {
     port: u128,
     watch: WriterWatch,
     /// The newest run of which a frame was admitted. Refused frames end no run.
-    run: Option<Run>,
+    run: Option<SourceRun>,
     is_gone: bool,
 }
 
@@ -78,7 +78,7 @@ impl SourcePorts {
     }
 
     /// Forgets the ports that are gone. Calls `ended` with each run that no other port sends.
-    pub(crate) fn end_gone(&mut self, mut ended: impl FnMut(Run)) {
+    pub(crate) fn end_gone(&mut self, mut ended: impl FnMut(SourceRun)) {
         while let Some(at) = self.ports.iter().position(|known| known.is_gone) {
             let gone = self.ports.swap_remove(at);
             if let Some(run) = gone.run

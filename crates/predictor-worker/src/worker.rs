@@ -14,10 +14,14 @@ use joulebus_bus::{
 use joulebus_config::{Config, Threads};
 use joulebus_fleet::{Fleet, Next, RefusalLog, Schedule, TickIntake};
 use joulebus_settings::Policy;
-use joulebus_wire::{ForecastHeader, SCHEMA_VERSION, Sample, Statement, tick_flag};
+use joulebus_wire::{
+    ForecastHeader, FrameHeader as _, FrameOrder, SCHEMA_VERSION, Sample, Statement, tick_flag,
+};
 
 use crate::checkpoint::SentErrors;
-use crate::checkpointer::{self, Failures, StatedBatteries, THREAD as CHECKPOINTER, read_ledger};
+use crate::checkpointer::{
+    self, Failures, StatedBatteries, THREAD as CHECKPOINTER, WorkerEnds, read_ledger,
+};
 use crate::error::OpenError;
 use crate::journal::Journal;
 use crate::keyframes::{Keyframes, keyframes};
@@ -30,7 +34,7 @@ use crate::standby::backlog::Held;
 use crate::standby::follow::Following;
 use crate::standby::watch::{self, CurrentPermit, PermitOver};
 use crate::tick_pool::TickPool;
-use joulebus_connect::standby::{Permit, PermitError, Places, SavedState};
+use joulebus_connect::standby::{Permit, PermitError, SavedState, StandbyFiles};
 use joulebus_latency::{Spread, histogram};
 use joulebus_models::load_models;
 
@@ -96,18 +100,18 @@ enum Phase {
     #[default]
     Alone,
     Following {
-        places: Places,
+        files: StandbyFiles,
         following: Following,
         /// When it checks for a permit, monotonic ns.
         look_ns: u64,
     },
     Leading {
-        places: Places,
+        files: StandbyFiles,
         /// Keeps `current_permit` up to date.
         renewal: Background,
     },
     Over {
-        places: Places,
+        files: StandbyFiles,
         renewal: Background,
     },
 }
@@ -116,17 +120,17 @@ impl Phase {
     /// The phase after the end of the permit.
     fn over(self) -> Self {
         match self {
-            Self::Leading { places, renewal } => Self::Over { places, renewal },
+            Self::Leading { files, renewal } => Self::Over { files, renewal },
             other => other,
         }
     }
 
-    const fn places(&self) -> Option<&Places> {
+    const fn files(&self) -> Option<&StandbyFiles> {
         match self {
             Self::Alone => None,
-            Self::Following { places, .. }
-            | Self::Leading { places, .. }
-            | Self::Over { places, .. } => Some(places),
+            Self::Following { files, .. }
+            | Self::Leading { files, .. }
+            | Self::Over { files, .. } => Some(files),
         }
     }
 
@@ -186,14 +190,14 @@ impl Worker {
     pub fn open_standby(config: &Config) -> Result<Self, OpenError> {
         let mut worker = Self::open_as(config, Arc::new(CurrentPermit::not_yet()))?;
         let following = Following::new(config.settings(), worker.header.period_ns);
-        let places = Places::new(config);
+        let files = StandbyFiles::new(config);
         // What is left of the permit of the worker before shows the link that it still hangs. If it
         // cannot be read or removed, standing by reports it.
-        if matches!(Permit::read(&places.permit), Ok(Some(permit)) if !permit.holds(clock::boot_ns()))
+        if matches!(Permit::read(&files.permit), Ok(Some(permit)) if !permit.holds(clock::boot_ns()))
         {
-            let _ = Permit::withdraw(&places.permit);
+            let _ = Permit::withdraw(&files.permit);
         }
-        worker.phase = Phase::Following { places, following, look_ns: 0 };
+        worker.phase = Phase::Following { files, following, look_ns: 0 };
         Ok(worker)
     }
 
@@ -246,8 +250,13 @@ impl Worker {
             &domain,
             config,
             before,
-            (Arc::clone(&failures), Arc::clone(&errors)),
-            (orders, (stated, taken)),
+            WorkerEnds {
+                failures: Arc::clone(&failures),
+                errors: Arc::clone(&errors),
+                orders,
+                stated,
+                taken,
+            },
         )?;
         // After the threads that must not have it are started, because threads inherit it.
         for refused in schedule_process(config.scheduling())? {
@@ -266,7 +275,7 @@ impl Worker {
             ..ForecastHeader::default()
         };
         if current_permit.holds(clock::boot_ns()) {
-            keyframes.offer(&fleet, (header.worker_epoch, 0));
+            keyframes.offer(&fleet, header.order());
         }
         let schedule =
             Schedule::new(config.policy(), config.tick_period_ns(), clock::monotonic_ns());
@@ -333,17 +342,17 @@ impl Worker {
         if let Some(name) = self.ended_thread() {
             return Err(RunError::Thread { name });
         }
-        let Phase::Following { places, following, look_ns } = &mut self.phase else {
+        let Phase::Following { files, following, look_ns } = &mut self.phase else {
             return Ok(true);
         };
         let (samples, buffer, fleet) = (&mut self.samples, &mut self.part, &mut self.fleet);
-        if hold(samples, buffer, following, fleet, places).is_err() {
+        if hold(samples, buffer, following, fleet, files).is_err() {
             self.failures.receive.fetch_add(1, Ordering::Relaxed);
         }
         let now_ns = clock::monotonic_ns();
         if now_ns >= *look_ns {
             *look_ns = now_ns.saturating_add(PERMIT_EVERY_NS);
-            if let Some(permit) = Permit::read(&places.permit)? {
+            if let Some(permit) = Permit::read(&files.permit)? {
                 // This worker hung while its host led: the link gives no permit to this process.
                 if !permit.holds(clock::boot_ns()) {
                     return Err(PermitOver { term: permit.term }.into());
@@ -361,13 +370,13 @@ impl Worker {
     /// host, which may be itself: as after a lease that ran out because the store was away.
     fn leave_state(&self) {
         let term = self.current_permit.term();
-        if let Some(places) = self.phase.places()
+        if let Some(files) = self.phase.files()
             && term > 0
         {
             let mut bytes = Vec::new();
             self.fleet.state().encode_into(&mut bytes);
             let of = (term, clock::monotonic_ns(), 0);
-            if let Err(error) = SavedState::write(&places.keyframe, of, &bytes) {
+            if let Err(error) = SavedState::write(&files.keyframe, of, &bytes) {
                 tracing::warn!("the next worker begins with an older state: {error}");
             }
         }
@@ -375,18 +384,18 @@ impl Worker {
 
     /// Continues where the leader ended.
     fn take_over(&mut self, permit: &Permit) -> Result<(), RunError> {
-        let Phase::Following { places, following, .. } = &mut self.phase else {
+        let Phase::Following { files, following, .. } = &mut self.phase else {
             return Ok(());
         };
-        let (restored, replayed) = following.take_over(&mut self.fleet, places, &self.turns);
-        let places = places.clone();
+        let (restored, replayed) = following.take_over(&mut self.fleet, files, &self.turns);
+        let files = files.clone();
         let current_permit = Arc::clone(&self.current_permit);
-        let renewal = watch::start(places.permit.clone(), current_permit, permit);
-        self.phase = Phase::Leading { places, renewal: renewal.map_err(RunError::Renewal)? };
+        let renewal = watch::start(files.permit.clone(), current_permit, permit);
+        self.phase = Phase::Leading { files, renewal: renewal.map_err(RunError::Renewal)? };
         let now_ns = clock::monotonic_ns();
         self.header.worker_epoch = now_ns;
         self.schedule = Schedule::new(self.policy, self.header.period_ns, now_ns);
-        self.keyframes.offer(&self.fleet, (now_ns, 0));
+        self.keyframes.offer(&self.fleet, FrameOrder { run: now_ns, number: 0 });
         tracing::info!(
             term = permit.term,
             robots = self.fleet.len(),
@@ -489,10 +498,10 @@ impl Worker {
     /// Reads the permit once more before the run ends: the link may have renewed it while this
     /// process had no processor.
     fn is_renewed(&mut self) -> bool {
-        let Phase::Leading { places, .. } = &self.phase else {
+        let Phase::Leading { files, .. } = &self.phase else {
             return false;
         };
-        let permit = Permit::read(&places.permit);
+        let permit = Permit::read(&files.permit);
         let is_renewed = permit.is_ok_and(|permit| self.current_permit.read_again(permit.as_ref()));
         if !is_renewed {
             self.phase = mem::take(&mut self.phase).over();
@@ -620,13 +629,13 @@ impl Worker {
             // The next turn ends it.
             return;
         }
-        let place = (self.header.worker_epoch, self.header.tick);
+        let order = self.header.order();
         let flags = flags | if missed { tick_flag::DEADLINE_MISSED } else { 0 };
-        self.journal.send(place, start_ns, flags, &self.failures.unsent);
+        self.journal.send(order, start_ns, flags, &self.failures.unsent);
         if self.failures.unsent.load(Ordering::Relaxed) == unsent_before {
             self.taken.fetch_add(std::mem::take(&mut self.uncounted), Ordering::Release);
         }
-        self.keyframes.offer(&self.fleet, place);
+        self.keyframes.offer(&self.fleet, order);
         self.errors.send(&self.fleet);
         if let Some(refusals) = &self.refusals
             && let Ok(mut refusals) = refusals.try_lock()
@@ -663,7 +672,7 @@ fn hold(
     buffer: &mut Vec<Sample>,
     following: &mut Following,
     fleet: &mut Fleet,
-    places: &Places,
+    files: &StandbyFiles,
 ) -> Result<(), ReceiveError> {
     let received = loop {
         match samples.next(fleet.capacity() as usize) {
@@ -676,14 +685,14 @@ fn hold(
                 let header = *incoming.header();
                 let has_room = following.keep(Held { header, samples, taken_ns });
                 if !has_room {
-                    following.advance(fleet, places);
+                    following.advance(fleet, files);
                 }
             }
             Ok(None) => break Ok(()),
             Err(error) => break Err(error),
         }
     };
-    following.advance(fleet, places);
+    following.advance(fleet, files);
     received
 }
 
@@ -743,21 +752,21 @@ mod tests {
         let root = std::path::PathBuf::from(root);
         let config = config(&root);
         let mut worker = Worker::open(&config).unwrap();
-        let places = Places::new(&config);
+        let files = StandbyFiles::new(&config);
         // The thread that reads the permit has not had a processor since the first one.
         worker.current_permit = Arc::new(CurrentPermit::not_yet());
         worker.current_permit.begin(&Permit { term: 4, until_ns: 1, lease: 9 });
         let renewal = || Background::start("idle", || Ok::<_, io::Error>(Idles)).unwrap();
-        let leading = || Phase::Leading { places: places.clone(), renewal: renewal() };
+        let leading = || Phase::Leading { files: files.clone(), renewal: renewal() };
         worker.phase = leading();
         let renewed = |term, until_ns| Permit { term, until_ns, lease: 9 };
-        renewed(4, u64::MAX - 1).write(&places.permit).unwrap();
+        renewed(4, u64::MAX - 1).write(&files.permit).unwrap();
         assert!(worker.poll().is_ok());
         for permit in [Some(renewed(4, 2)), Some(renewed(5, u64::MAX - 1)), None] {
             worker.phase = leading();
             match permit {
-                Some(permit) => permit.write(&places.permit).unwrap(),
-                None => Permit::withdraw(&places.permit).unwrap(),
+                Some(permit) => permit.write(&files.permit).unwrap(),
+                None => Permit::withdraw(&files.permit).unwrap(),
             }
             worker.current_permit.begin(&renewed(4, 1));
             assert!(matches!(worker.poll(), Err(RunError::Permit(_))), "{permit:?}");
@@ -845,7 +854,8 @@ mod tests {
         let replace: [(&str, Replace); 3] = [
             (CHECKPOINTER, |worker, _| worker.checkpointer = panicking()),
             (watch::THREAD, |worker, config| {
-                worker.phase = Phase::Leading { places: Places::new(config), renewal: panicking() };
+                worker.phase =
+                    Phase::Leading { files: StandbyFiles::new(config), renewal: panicking() };
             }),
             (PANICS, |worker, _| {
                 let thread = panicking();

@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::{Bus, clock};
 use joulebus_config::Config;
-use joulebus_connect::standby::{Permit, Places, SavedState};
+use joulebus_connect::standby::{Permit, SavedState, StandbyFiles};
 use joulebus_predictor_worker::{RunError, Worker};
 use joulebus_testkit::OnDrop;
 use joulebus_wire::{
@@ -35,7 +35,7 @@ fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
 struct Scene {
     root: PathBuf,
     config: Config,
-    places: Places,
+    files: StandbyFiles,
     stop: AtomicBool,
     /// Frames that the source has sent.
     sent: AtomicU64,
@@ -64,7 +64,7 @@ impl Scene {
         );
         let config = Config::parse(&text, &root.join("nowhere")).unwrap();
         Self {
-            places: Places::new(&config),
+            files: StandbyFiles::new(&config),
             root,
             config,
             stop: AtomicBool::new(false),
@@ -142,7 +142,7 @@ impl Scene {
 
     fn permit(&self, term: u64, until_ns: u64) {
         let permit = Permit { term, until_ns, lease: 0 };
-        permit.write(&self.places.permit).unwrap();
+        permit.write(&self.files.permit).unwrap();
     }
 
     /// Ticks the worker until the condition holds.
@@ -190,7 +190,7 @@ impl Scene {
 
 impl Drop for Scene {
     fn drop(&mut self) {
-        for file in [&self.places.permit, &self.places.keyframe, &self.places.replica] {
+        for file in [&self.files.permit, &self.files.keyframe, &self.files.replica] {
             let _ = fs::remove_file(file);
         }
         // All members have left, and taken their files with them.
@@ -238,16 +238,16 @@ fn goes_on_after(frames: u64) {
         eventually("a keyframe", || {
             turns.push((clock::monotonic_ns(), scene.sent.load(Ordering::Relaxed)));
             worker.poll().unwrap();
-            let saved = SavedState::read(&scene.places.keyframe).unwrap();
+            let saved = SavedState::read(&scene.files.keyframe).unwrap();
             saved.is_some_and(|saved| saved.taken_ns > turns[0].0)
         });
         // The keyframe crosses to another host, whose clock is the same here, and the worker is
         // killed.
-        let saved = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
+        let saved = SavedState::read(&scene.files.keyframe).unwrap().unwrap();
         assert_eq!(saved.term, 1);
         let in_it = turns.iter().rfind(|(ns, _)| *ns < saved.taken_ns).unwrap().1;
-        fs::rename(&scene.places.keyframe, &scene.places.replica).unwrap();
-        Permit::withdraw(&scene.places.permit).unwrap();
+        fs::rename(&scene.files.keyframe, &scene.files.replica).unwrap();
+        Permit::withdraw(&scene.files.permit).unwrap();
         scene.read_all();
         let accounts = scene.accounts();
         drop(worker);
@@ -287,7 +287,7 @@ fn goes_on_after(frames: u64) {
         );
         let _ = worker.finish();
         // The state with which the next worker on this host begins.
-        let last = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
+        let last = SavedState::read(&scene.files.keyframe).unwrap().unwrap();
         assert_eq!(last.term, 2);
     });
 }
@@ -315,7 +315,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             let until_ns = clock::boot_ns() + 3_000_000_000;
             match how {
                 "it runs out" => scene.permit(term, until_ns),
-                "it is withdrawn" => Permit::withdraw(&scene.places.permit).unwrap(),
+                "it is withdrawn" => Permit::withdraw(&scene.files.permit).unwrap(),
                 "another term" => scene.permit(term + 1, u64::MAX),
                 _ => {}
             }
@@ -339,7 +339,7 @@ fn when_its_permit_has_run_out_it_sends_nothing_more_and_ends_and_a_later_permit
             accounts = scene.accounts();
             assert!(accounts.0 > 0, "{accounts:?}");
             let _report = worker.finish();
-            Permit::withdraw(&scene.places.permit).unwrap();
+            Permit::withdraw(&scene.files.permit).unwrap();
         }
     });
 }
@@ -355,13 +355,13 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
         assert!(worker.stand_by(&never).unwrap());
         scene.until(&mut worker, "a warm fleet", |_| scene.is_warm());
         let is_kept = |least: i64| {
-            let saved = SavedState::read(&scene.places.keyframe).unwrap();
+            let saved = SavedState::read(&scene.files.keyframe).unwrap();
             saved.is_some() && scene.accounts().0 > least
         };
         scene.until(&mut worker, "a keyframe", |_| is_kept(0));
-        let saved = SavedState::read(&scene.places.keyframe).unwrap().unwrap();
+        let saved = SavedState::read(&scene.files.keyframe).unwrap().unwrap();
         drop(worker);
-        let whole = fs::read(&scene.places.keyframe).unwrap();
+        let whole = fs::read(&scene.files.keyframe).unwrap();
         let mut cut = saved.bytes.clone();
         cut.truncate(cut.len() / 2);
         let mut other = saved.bytes.clone();
@@ -370,13 +370,13 @@ fn a_state_that_is_damaged_or_of_another_fleet_is_refused_and_the_next_newest_ta
         for (term, replica) in
             [(2, &cut[..]), (3, &other[..]), (4, &[][..]), (5, &b"jbstate\xff"[..])]
         {
-            fs::write(&scene.places.keyframe, &whole).unwrap();
+            fs::write(&scene.files.keyframe, &whole).unwrap();
             let of = (term + 10, clock::monotonic_ns(), i64::MIN);
-            SavedState::write(&scene.places.replica, of, replica).unwrap();
+            SavedState::write(&scene.files.replica, of, replica).unwrap();
             if term == 4 {
-                fs::write(&scene.places.replica, b"nonsense").unwrap();
+                fs::write(&scene.files.replica, b"nonsense").unwrap();
             }
-            Permit::withdraw(&scene.places.permit).unwrap();
+            Permit::withdraw(&scene.files.permit).unwrap();
             let mut worker = Worker::open_standby(&scene.config).unwrap();
             scene.permit(term, u64::MAX);
             assert!(worker.stand_by(&never).unwrap());

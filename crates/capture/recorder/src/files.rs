@@ -248,7 +248,7 @@ impl Files {
     }
 
     /// State of the memory buffer. None unless this is a snapshot.
-    pub(crate) fn kept(&self) -> Option<Kept> {
+    pub(crate) fn kept(&self) -> Option<SnapshotContents> {
         self.options.snapshot.map(|_| self.snapshot.summary())
     }
 
@@ -365,7 +365,7 @@ fn part(path: &Path, number: u32) -> PathBuf {
 
 /// A snapshot's contents in memory.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub struct Kept {
+pub struct SnapshotContents {
     /// Messages.
     pub messages: u64,
     /// Size of the messages, bytes.
@@ -412,10 +412,10 @@ impl KeptItems {
         alarm
     }
 
-    fn summary(&self) -> Kept {
+    fn summary(&self) -> SnapshotContents {
         let log_ns = |item: Option<&Item>| item.map_or(0, |item| item.times.log_ns);
         let (oldest, newest) = (log_ns(self.items.front()), log_ns(self.items.back()));
-        Kept {
+        SnapshotContents {
             messages: self.items.len() as u64,
             bytes: self.bytes as u64,
             span_ns: newest.saturating_sub(oldest),

@@ -24,7 +24,7 @@ pub(crate) struct Gaps {
     /// Of that fleet, the newest run of the worker whose journal is read, and its first tick there
     /// that began since then.
     begun: Option<FrameOrder>,
-    runs: HashMap<Key, Run>,
+    runs: HashMap<Key, Stream>,
     /// Number of messages processed.
     looked: u64,
 }
@@ -34,7 +34,7 @@ type Key = (Arc<str>, MessageKind, u64, u64);
 
 /// State of a numbered stream.
 #[derive(Debug, Default)]
-struct Run {
+struct Stream {
     /// Smaller numbers are not counted as missing.
     from: u64,
     next: u64,
@@ -50,7 +50,7 @@ struct Run {
 
 /// Loss as shown by a message.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub(crate) struct Found {
+pub(crate) struct Loss {
     /// Messages missing between the previous one of its kind and this one.
     pub(crate) missing: u64,
     /// Kinds of which one was counted as missing before that was never sent.
@@ -74,9 +74,9 @@ impl Gaps {
     }
 
     /// Determines the loss before a message of a fleet.
-    pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Found {
+    pub(crate) fn look(&mut self, fleet: &Arc<str>, message: &Message) -> Loss {
         self.looked += 1;
-        let mut found = Found::default();
+        let mut found = Loss::default();
         if let Some(journal) = message.frame::<Ticks>() {
             found.is_before = !self.begin(fleet, &journal.header);
             found.never_sent = self.left_out(fleet, &journal.header);
@@ -168,7 +168,7 @@ impl Gaps {
         kind: MessageKind,
         source: u64,
         order: FrameOrder,
-    ) -> &mut Run {
+    ) -> &mut Stream {
         let FrameOrder { run: epoch, number } = order;
         let key = (Arc::clone(fleet), kind, source, epoch);
         if !self.runs.contains_key(&key) {
@@ -183,7 +183,7 @@ impl Gaps {
             let from = first_tick.map_or(number, |first| number.min(first));
             let from = if read_from_the_start { from_the_start } else { from };
             let unknown_gap = kind.flow().is_on_demand();
-            Run { from, next: from, last: from, unknown_gap, ..Run::default() }
+            Stream { from, next: from, last: from, unknown_gap, ..Stream::default() }
         });
         if let Some(first) = first_tick.filter(|_| !read_from_the_start) {
             (run.from, run.next) = (run.from.max(first), run.next.max(first));
@@ -212,7 +212,7 @@ impl Gaps {
     }
 }
 
-impl Run {
+impl Stream {
     /// The number was not sent. Returns true if it was counted as missing.
     fn leave_out(&mut self, number: u64) -> bool {
         if number < self.next {
@@ -305,11 +305,11 @@ mod tests {
             assert_eq!(found, missing, "{messages:?}");
             // Fleets are independent.
             let other = Arc::from("yard");
-            assert_eq!(gaps.look(&other, &frame(1, 5, 999)), Found::default());
+            assert_eq!(gaps.look(&other, &frame(1, 5, 999)), Loss::default());
         }
     }
 
-    /// Run 5 ran before the ports were open at 100 ns. Its tick n begins at 90 + 10n ns.
+    /// Run 5 began before the ports were open at 100 ns. Its tick n begins at 90 + 10n ns.
     #[test]
     fn what_a_worker_that_ran_before_sends_counts_from_the_first_tick_since_the_ports_are_open() {
         fn of_tick<C: Channel>(run: u64, number: u64) -> Message {
@@ -382,8 +382,8 @@ mod tests {
             // Other fleets are read from captures, which begin at any tick.
             let (other, mut gaps) = (Arc::from("yard"), Gaps::new(100));
             gaps.opened(fleet, 100);
-            assert_eq!(gaps.look(&other, &messages[0]), Found::default());
-            assert_eq!(gaps.look(&other, &forecasts(5, 90)), Found::default());
+            assert_eq!(gaps.look(&other, &messages[0]), Loss::default());
+            assert_eq!(gaps.look(&other, &forecasts(5, 90)), Loss::default());
         }
     }
 

@@ -33,7 +33,7 @@ use shared::Shared;
 pub use attachments::{AttachError, attach, host_clock};
 pub use channel::RecordedChannel;
 pub use drain::DrainError;
-pub use files::{Kept, Target};
+pub use files::{SnapshotContents, Target};
 pub use options::{Options, RECORDER, Snapshot, Suits};
 pub use shared::{Lost, Summary};
 

@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use joulebus_bus::clock;
 
-use crate::files::{Files, Kept};
+use crate::files::{Files, SnapshotContents};
 use crate::gaps::Gaps;
 use crate::item::Item;
 use crate::options::Options;
@@ -39,7 +39,7 @@ pub struct Summary {
     /// Losses by topic. Topics without losses are omitted.
     pub lost: BTreeMap<String, Lost>,
     /// Memory buffer of a snapshot that was not written. None for other recordings.
-    pub kept: Option<Kept>,
+    pub kept: Option<SnapshotContents>,
     /// Reason that the recorder stopped before its end, if it did.
     pub failure: Option<String>,
 }

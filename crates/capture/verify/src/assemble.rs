@@ -10,6 +10,7 @@ use joulebus_wire::{
 
 use crate::loss::Loss;
 use crate::output::Output;
+use crate::tick_id::TickId;
 use joulebus_capture_format::{Content as _, Frame, Message, MessageKind};
 
 /// Maximum lead, in ticks, of one service over another in a capture: more than any service buffers.
@@ -71,7 +72,7 @@ pub(super) enum Event {
 pub(super) struct Assembler {
     /// Outputs that a worker sends in a tick.
     outputs: Vec<Output>,
-    runs: BTreeMap<u64, Run>,
+    runs: BTreeMap<u64, WorkerRun>,
     frames: FrameStore,
     /// The newest of each kind, by run, and whether it is complete.
     newest: HashMap<(u64, MessageKind), u64>,
@@ -80,7 +81,7 @@ pub(super) struct Assembler {
     /// The oldest and the newest frame of each run of each source.
     frame_range: HashMap<(u64, u64), (u64, u64)>,
     /// Start of the recording: run and tick.
-    first: Option<(u64, u64)>,
+    first: Option<TickId>,
     ended: bool,
     pieces: Pieces,
     /// The last released ticks of the newest runs.
@@ -96,7 +97,7 @@ struct Pieces {
     /// The last complete one.
     whole: Option<(StateHeader, Vec<u8>)>,
     /// The last one with a missing piece: its further pieces are not counted.
-    broken: Option<(u64, u64)>,
+    broken: Option<TickId>,
     has_begun: bool,
 }
 
@@ -109,7 +110,7 @@ struct Released {
 
 /// Waiting parts of one run of the worker.
 #[derive(Debug, Default)]
-struct Run {
+struct WorkerRun {
     ticks: BTreeMap<u64, TickParts>,
     newest: u64,
 }
@@ -238,7 +239,7 @@ impl Assembler {
     }
 
     /// Cause that a message of `kind` is missing: lost, or never sent because the run ended.
-    pub(super) fn lack(&self, (run, tick): (u64, u64), kind: MessageKind, lost: Loss) -> Loss {
+    pub(super) fn lack(&self, TickId { run, tick }: TickId, kind: MessageKind, lost: Loss) -> Loss {
         let newest = self.newest.get(&(run, kind)).copied().unwrap_or_default();
         let is_cut_off = self.kinds.contains(&kind) && self.is_over(run, tick) && tick > newest;
         if is_cut_off { Loss::End } else { lost }
@@ -251,7 +252,7 @@ impl Assembler {
     }
 
     /// Same as [`Assembler::lack`], for a frame of samples.
-    pub(super) fn lack_of_frame(&self, (run, tick): (u64, u64), taken: &TakenFrame) -> Loss {
+    pub(super) fn lack_of_frame(&self, TickId { run, tick }: TickId, taken: &TakenFrame) -> Loss {
         let (source_id, frame_seq) = (taken.source_id, taken.frame_seq);
         let range = self.frame_range.get(&(source_id, taken.source_epoch));
         if self.is_over(run, tick) && range.is_none_or(|(_, newest)| frame_seq > *newest) {
@@ -271,8 +272,8 @@ impl Assembler {
 
     /// True if `tick` is among the first of the recording.
     fn is_young(&self, run: u64, tick: u64) -> bool {
-        self.first.is_some_and(|(first_run, first)| {
-            run == first_run && tick < first.saturating_add(MAX_CUT_OFF_TICKS)
+        self.first.is_some_and(|first| {
+            run == first.run && tick < first.tick.saturating_add(MAX_CUT_OFF_TICKS)
         })
     }
 
@@ -283,7 +284,7 @@ impl Assembler {
         self.kinds.insert(kind);
         // A new reader first receives the newest frame of some channels, which may be old.
         if kind == MessageKind::of::<Ticks>() {
-            self.first.get_or_insert((worker_epoch, tick));
+            self.first.get_or_insert(TickId::new(worker_epoch, tick));
         }
         let run = self.runs.entry(worker_epoch).or_default();
         run.newest = run.newest.max(tick);
@@ -320,8 +321,8 @@ impl Assembler {
     fn add_piece(&mut self, header: StateHeader, bytes: &[u8]) {
         let pieces = &mut self.pieces;
         let has_begun = std::mem::replace(&mut pieces.has_begun, true);
-        let place = (header.worker_epoch, header.tick);
-        let of = |first: &StateHeader| (first.worker_epoch, first.tick) == place;
+        let id = TickId::new(header.worker_epoch, header.tick);
+        let of = |first: &StateHeader| TickId::new(first.worker_epoch, first.tick) == id;
         let (offset, total) = (header.offset, header.total_bytes);
         let is_copy = |sofar: &[u8]| {
             let rest = usize::try_from(offset).ok().and_then(|at| sofar.get(at..));
@@ -332,7 +333,7 @@ impl Assembler {
         let belongs = |first: &StateHeader| {
             (first.total_bytes, first.before_hash) == (total, header.before_hash)
         };
-        if pieces.broken == Some(place)
+        if pieces.broken == Some(id)
             || whole.or(open).is_some_and(|(first, sofar)| belongs(first) && is_copy(sofar))
         {
             return;
@@ -353,16 +354,16 @@ impl Assembler {
                 let (worker_epoch, tick) = (first.worker_epoch, first.tick);
                 let is_cut_off = worker_epoch < header.worker_epoch;
                 self.events.push_back(Event::Broken { worker_epoch, tick, is_cut_off });
-                if (worker_epoch, tick) == place {
-                    pieces.broken = Some(place);
+                if TickId::new(worker_epoch, tick) == id {
+                    pieces.broken = Some(id);
                     return;
                 }
             }
             if !is_first {
-                pieces.broken = Some(place);
+                pieces.broken = Some(id);
                 // A recording may begin with the last pieces of a keyframe.
                 if has_begun || offset == 0 {
-                    let (worker_epoch, tick) = place;
+                    let TickId { run: worker_epoch, tick } = id;
                     self.events.push_back(Event::Broken { worker_epoch, tick, is_cut_off: false });
                 }
                 return;

@@ -7,6 +7,7 @@ use joulebus_wire::{Channel as _, State};
 use serde::Serialize;
 
 use crate::loss::Loss;
+use crate::tick_id::TickId;
 
 /// Name of the channel of questions.
 pub(super) const QUERIES: &str = "queries";
@@ -138,7 +139,7 @@ impl Coverage {
         }
     }
 
-    pub(super) fn recomputed(&mut self, (run, tick): (u64, u64)) {
+    pub(super) fn recomputed(&mut self, TickId { run, tick }: TickId) {
         let run = self.run(run);
         let follows = |(_, last): &&mut (u64, u64)| last.checked_add(1) == Some(tick);
         if let Some((_, last)) = run.recomputed.last_mut().filter(follows) {

@@ -7,16 +7,13 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_settings::FleetSettings;
 use joulebus_wire::fnv1a;
 
+use crate::tick_id::TickId;
+
 /// Number of ticks whose states are remembered. A keyframe arrives after later ticks: its encoding
 /// takes a while, and so does sending it in pieces.
 const MAX_STATES: usize = 16_384;
-
 /// Number of keyframes that are remembered, to recognise copies.
 const MAX_KEYFRAMES: usize = 4_096;
-
-/// Run and number of a tick.
-type TickId = (u64, u64);
-
 /// Maximum memory of states that wait for their keyframe, bytes. What exceeds it is encoded.
 const MAX_WAITING: usize = 256 << 20;
 /// Maximum number of states that wait for their keyframe: those of ten seconds at 100 Hz.
@@ -82,14 +79,14 @@ impl States {
     }
 
     /// Remembers the state after a tick that was recomputed, if keyframes of it are compared.
-    pub(super) fn note(&mut self, place: TickId, fleet: &Fleet, is_compared: bool) {
+    pub(super) fn note(&mut self, id: TickId, fleet: &Fleet, is_compared: bool) {
         if !is_compared {
-            return self.remember(place, 0);
+            return self.remember(id, 0);
         }
         let free = self.free.pop();
         let mut state = free.unwrap_or_else(|| FleetState::with_capacity_for(&self.settings));
         fleet.state_into(&mut state);
-        self.copies.push_back((place, state));
+        self.copies.push_back((id, state));
         if self.copies.len() > self.max_copies
             && let Some((oldest, state)) = self.copies.pop_front()
         {
@@ -99,8 +96,8 @@ impl States {
         }
     }
 
-    fn remember(&mut self, place: TickId, hash: u64) {
-        self.hashes.insert(place, hash);
+    fn remember(&mut self, id: TickId, hash: u64) {
+        self.hashes.insert(id, hash);
         if self.hashes.len() > MAX_STATES {
             self.hashes.pop_first();
         }
@@ -112,38 +109,37 @@ impl States {
     }
 
     /// True if the state after the tick was recomputed, and is remembered.
-    pub(super) fn is_known(&self, place: TickId) -> bool {
-        self.hashes.contains_key(&place) || self.find(place).is_ok()
+    pub(super) fn is_known(&self, id: TickId) -> bool {
+        self.hashes.contains_key(&id) || self.find(id).is_ok()
     }
 
     /// True if the state after the tick may have been forgotten.
-    pub(super) fn is_forgotten(&self, place: TickId) -> bool {
+    pub(super) fn is_forgotten(&self, id: TickId) -> bool {
         let oldest = self.hashes.first_key_value();
-        self.compared.is_some_and(|newest| place < newest)
-            || (self.hashes.len() == MAX_STATES
-                && oldest.is_some_and(|(oldest, _)| place < *oldest))
+        self.compared.is_some_and(|newest| id < newest)
+            || (self.hashes.len() == MAX_STATES && oldest.is_some_and(|(oldest, _)| id < *oldest))
     }
 
     /// The hashes of a keyframe and of the recomputed state, if they differ. Forgets the states
     /// before it, because keyframes come in the order of their ticks.
-    pub(super) fn difference(&mut self, place: TickId, bytes: &[u8]) -> Option<(u64, u64)> {
-        if let Ok(count) = self.find(place) {
+    pub(super) fn difference(&mut self, id: TickId, bytes: &[u8]) -> Option<(u64, u64)> {
+        if let Ok(count) = self.find(id) {
             self.free.extend(self.copies.drain(..count).map(|(_, state)| state));
             if let Some((_, state)) = self.copies.pop_front() {
                 let hash = self.hash(&state);
                 self.free.push(state);
                 self.hashes.clear();
-                self.remember(place, hash);
-                self.compared = Some(place);
+                self.remember(id, hash);
+                self.compared = Some(id);
             }
         }
-        let (recorded, computed) = (self.hasher.hash_one(bytes), *self.hashes.get(&place)?);
+        let (recorded, computed) = (self.hasher.hash_one(bytes), *self.hashes.get(&id)?);
         (recorded != computed).then_some((recorded, computed))
     }
 
     /// Position of the copy of the state after a tick.
-    fn find(&self, place: TickId) -> Result<usize, usize> {
-        self.copies.binary_search_by_key(&place, |(of, _)| *of)
+    fn find(&self, id: TickId) -> Result<usize, usize> {
+        self.copies.binary_search_by_key(&id, |(of, _)| *of)
     }
 
     /// Compares a keyframe with those before it in the capture, and with the one that it names.
@@ -151,16 +147,16 @@ impl States {
     /// recorded it.
     pub(super) fn sequence(
         &mut self,
-        place: TickId,
+        id: TickId,
         before_hash: u64,
         bytes: &[u8],
         (is_first_run, must_name): (bool, bool),
     ) -> Sequence {
-        let (run, hash) = (place.0, fnv1a(bytes.iter().copied()));
-        match self.seen.get(&place) {
+        let (run, hash) = (id.run, fnv1a(bytes.iter().copied()));
+        match self.seen.get(&id) {
             Some(seen) if *seen == hash => return Sequence::Copy,
             Some(_) => return Sequence::Differs,
-            None => self.seen.insert(place, hash),
+            None => self.seen.insert(id, hash),
         };
         if self.seen.len() > MAX_KEYFRAMES {
             self.seen.pop_first();

@@ -11,6 +11,7 @@ mod queries;
 mod refusals;
 mod report;
 mod robots;
+mod tick_id;
 mod what_if;
 
 use std::collections::{BTreeMap, VecDeque};
@@ -30,6 +31,7 @@ use keyframes::{Sequence, States};
 use output::has_same_bits;
 use queries::Queries;
 use robots::RobotRows;
+use tick_id::TickId;
 
 pub use compare::Value;
 pub use coverage::{ChannelCoverage, RunCoverage};
@@ -70,13 +72,13 @@ const MAX_TICK_NS: u64 = 1_000_000_000;
 #[derive(Debug)]
 pub struct Verifier {
     fleet: Fleet,
-    /// The tick that `fleet` has just computed: run and number. `None` without a known state.
-    at: Option<(u64, u64)>,
+    /// The tick that `fleet` has just computed. `None` without a known state.
+    at: Option<TickId>,
     assembler: Assembler,
     /// Ticks of one run that wait for a keyframe.
     waiting: VecDeque<Waiting>,
     waiting_bytes: usize,
-    keyframes: BTreeMap<(u64, u64), Vec<u8>>,
+    keyframes: BTreeMap<TickId, Vec<u8>>,
     states: States,
     beginning: Beginning,
     pace: Pace,
@@ -94,21 +96,21 @@ pub struct Verifier {
 /// The beginning of a recording, where the worker's state is unknown.
 #[derive(Debug, Default)]
 struct Beginning {
-    /// Run and number of the first tick with a journal.
-    first: Option<(u64, u64)>,
+    /// The first tick with a journal.
+    first: Option<TickId>,
     /// Start of the first tick, and of the newest one, monotonic ns.
     times: Option<(u64, u64)>,
     /// The first keyframe from which ticks can be recomputed: later ticks are not excused.
-    until: Option<(u64, u64)>,
+    until: Option<TickId>,
 }
 
 impl Beginning {
-    fn note(&mut self, place: (u64, u64), start_ns: Option<u64>) {
+    fn note(&mut self, id: TickId, start_ns: Option<u64>) {
         let Some(start_ns) = start_ns else {
             return;
         };
         if self.first.is_none() {
-            self.first = Some(place);
+            self.first = Some(id);
             // A keyframe of an earlier tick may come first.
             self.until.take().into_iter().for_each(|keyframe| self.end(keyframe));
         }
@@ -116,11 +118,12 @@ impl Beginning {
         self.times = Some((from_ns, newest_ns.max(start_ns)));
     }
 
-    /// Ends with a keyframe of `place`, unless the ticks that follow it were not recorded.
-    fn end(&mut self, (run, tick): (u64, u64)) {
-        let is_usable = self.first.is_none_or(|first| (run, tick.saturating_add(1)) >= first);
+    /// Ends with the keyframe of a tick, unless the ticks that follow it were not recorded.
+    fn end(&mut self, id: TickId) {
+        let is_usable =
+            self.first.is_none_or(|first| TickId::new(id.run, id.tick.saturating_add(1)) >= first);
         if is_usable {
-            self.until.get_or_insert((run, tick));
+            self.until.get_or_insert(id);
         }
     }
 
@@ -134,16 +137,16 @@ impl Beginning {
 
     /// True if the recording has the first tick of its first run.
     fn has_first_tick(&self) -> bool {
-        self.first.is_some_and(|(_, tick)| tick <= 1)
+        self.first.is_some_and(|first| first.tick <= 1)
     }
 
     /// True if it is excused that the state before the tick is unknown.
-    fn has(&self, place: (u64, u64), start_ns: Option<u64>) -> bool {
+    fn has(&self, id: TickId, start_ns: Option<u64>) -> bool {
         let (from_ns, newest_ns) = self.times.unwrap_or_default();
         let at_ns = start_ns.unwrap_or(newest_ns);
         let max_ns = if self.has_first_tick() { MAX_FIRST_KEYFRAME_NS } else { MAX_BEGINNING_NS };
-        self.first.is_none_or(|(run, _)| place.0 == run)
-            && self.until.is_none_or(|until| place <= until)
+        self.first.is_none_or(|first| id.run == first.run)
+            && self.until.is_none_or(|until| id <= until)
             && at_ns.saturating_sub(from_ns) <= max_ns
     }
 }
@@ -281,8 +284,8 @@ impl Verifier {
         self.assembler.finish();
         self.work();
         self.give_up_waiting();
-        for (place, _) in std::mem::take(&mut self.keyframes) {
-            self.leave_keyframe(place);
+        for (id, _) in std::mem::take(&mut self.keyframes) {
+            self.leave_keyframe(id);
         }
         let is_new = self.answer_rules.map(|rules| rules >= ANSWERED_SINCE);
         if is_new.is_some_and(|is_new| is_new != (self.tick_rules >= ANSWERED_WITH)) {
@@ -323,9 +326,9 @@ impl Verifier {
                 Event::Broken { worker_epoch, tick, is_cut_off } => {
                     self.states.note_broken(worker_epoch);
                     self.report.broken_keyframes += u64::from(!is_cut_off);
-                    self.beginning.end((worker_epoch, tick));
+                    self.beginning.end(TickId::new(worker_epoch, tick));
                     let why = if is_cut_off { Loss::End } else { Loss::Broken };
-                    self.settle_keyframe((worker_epoch, tick), &Settled::Not(why));
+                    self.settle_keyframe(TickId::new(worker_epoch, tick), &Settled::Not(why));
                 }
                 Event::Contradiction { tick, why } => self.report.contradict(tick, why),
                 Event::Tick { worker_epoch, tick, parts } => {
@@ -338,15 +341,15 @@ impl Verifier {
 
     /// Compares a keyframe with the state after its tick, or stores it until then.
     fn keyframe(&mut self, header: &StateHeader, bytes: Vec<u8>) {
-        let place = (header.worker_epoch, header.tick);
+        let id = TickId::new(header.worker_epoch, header.tick);
         // A later run began during the recording, with a keyframe that names none.
-        let is_first = self.beginning.first.is_none_or(|(run, _)| place.0 <= run);
+        let is_first = self.beginning.first.is_none_or(|first| id.run <= first.run);
         let names = (is_first, self.tick_rules >= NAMED_SINCE);
-        match self.states.sequence(place, header.before_hash, &bytes, names) {
+        match self.states.sequence(id, header.before_hash, &bytes, names) {
             Sequence::Copy => return,
             Sequence::Differs => {
                 let why = Loss::Differing(State::SERVICE.name());
-                return self.report.contradict(place.1, why);
+                return self.report.contradict(id.tick, why);
             }
             Sequence::Gap => self.report.missing_keyframes += 1,
             Sequence::Follows => {}
@@ -354,61 +357,59 @@ impl Verifier {
         self.pace.note(header);
         let is_new = FleetState::is_of_this_version(&bytes);
         if is_new != (self.tick_rules >= ENCODED_SINCE) {
-            self.report.deny_rules(place.1, self.tick_rules);
+            self.report.deny_rules(id.tick, self.tick_rules);
         }
         self.report.keyframes += 1;
-        self.beginning.end(place);
-        if self.states.is_known(place) {
-            self.compare_keyframe(place, &bytes);
-        } else if self.at.is_none_or(|at| at < place) {
-            self.keep(place, bytes);
+        self.beginning.end(id);
+        if self.states.is_known(id) {
+            self.compare_keyframe(id, &bytes);
+        } else if self.at.is_none_or(|at| at < id) {
+            self.keep(id, bytes);
         } else {
-            self.leave_keyframe(place);
+            self.leave_keyframe(id);
         }
     }
 
     /// Compares a keyframe with the state after its tick, which was recomputed.
-    fn compare_keyframe(&mut self, place: (u64, u64), bytes: &[u8]) {
+    fn compare_keyframe(&mut self, id: TickId, bytes: &[u8]) {
         if !has_same_bits(State::SERVICE.name(), self.tick_rules) {
-            return self.settle_keyframe(place, &Settled::Not(Loss::OlderRules(self.tick_rules)));
+            return self.settle_keyframe(id, &Settled::Not(Loss::OlderRules(self.tick_rules)));
         }
-        if let Some((recorded, computed)) = self.states.difference(place, bytes) {
+        if let Some((recorded, computed)) = self.states.difference(id, bytes) {
             let what = State::SERVICE.name();
-            self.report.differ(place, what, None, ("hash", recorded.into(), computed.into()));
+            self.report.differ(id, what, None, ("hash", recorded.into(), computed.into()));
             if let Err(error) = FleetState::decode(bytes) {
-                self.report.refuse_keyframe(place.1, &error);
+                self.report.refuse_keyframe(id.tick, &error);
             }
         }
-        self.settle_keyframe(place, &Settled::Compared);
+        self.settle_keyframe(id, &Settled::Compared);
     }
 
     /// Counts a keyframe whose tick was not recomputed.
-    fn leave_keyframe(&mut self, place: (u64, u64)) {
-        let (run, tick) = place;
+    fn leave_keyframe(&mut self, id: TickId) {
+        let TickId { run, tick } = id;
         let span = self.spans.get(&run).copied();
         let why = match span {
             // The state from which a worker began that was ended before its first tick.
             None if tick == 0 => Loss::Given,
-            None if self.beginning.first.is_some_and(|first| place < first) => Loss::Before,
+            None if self.beginning.first.is_some_and(|first| id < first) => Loss::Before,
             Some((first, _)) if tick < first => Loss::Before,
-            Some((_, last)) if tick <= last && !self.states.is_forgotten(place) => {
-                Loss::NotRecomputed
-            }
+            Some((_, last)) if tick <= last && !self.states.is_forgotten(id) => Loss::NotRecomputed,
             _ => Loss::NoTick,
         };
         if why == Loss::NoTick {
             self.report.contradict(tick, why);
         }
-        self.settle_keyframe(place, &Settled::Not(why));
+        self.settle_keyframe(id, &Settled::Not(why));
     }
 
-    fn settle_keyframe(&mut self, place: (u64, u64), settled: &Settled) {
-        self.report.settle(place, MessageKind::of::<State>(), settled);
+    fn settle_keyframe(&mut self, id: TickId, settled: &Settled) {
+        self.report.settle(id, MessageKind::of::<State>(), settled);
     }
 
     /// Stores a keyframe until its tick arrives. The oldest ones are dropped if there are too many.
-    fn keep(&mut self, place: (u64, u64), bytes: Vec<u8>) {
-        self.keyframes.insert(place, bytes);
+    fn keep(&mut self, id: TickId, bytes: Vec<u8>) {
+        self.keyframes.insert(id, bytes);
         let held =
             |keyframes: &BTreeMap<_, Vec<u8>>| keyframes.values().map(Vec::len).sum::<usize>();
         while self.keyframes.len() > 1
@@ -420,11 +421,11 @@ impl Verifier {
     }
 
     fn tick(&mut self, next: Waiting) {
-        let place = (next.worker_epoch, next.tick);
+        let id = TickId::new(next.worker_epoch, next.tick);
         let start_ns = next.start_ns();
         let is_first_run = self.spans.is_empty();
-        let begins_inside = !is_first_run || self.keyframes.contains_key(&(place.0, 0));
-        let absent = match self.spans.get_mut(&place.0) {
+        let begins_inside = !is_first_run || self.keyframes.contains_key(&TickId { tick: 0, ..id });
+        let absent = match self.spans.get_mut(&id.run) {
             // A copy of a part of a tick that was released long ago.
             Some((_, last)) if next.tick <= *last => {
                 return self.report.contradict(next.tick, Loss::Stray(Ticks::SERVICE.name()));
@@ -434,22 +435,22 @@ impl Verifier {
             // the newest frame, which may be of a tick long before.
             None if is_first_run && start_ns.is_none() => 0,
             None => {
-                self.spans.insert(place.0, (next.tick, next.tick));
+                self.spans.insert(id.run, (next.tick, next.tick));
                 if begins_inside { next.tick.saturating_sub(1) } else { 0 }
             }
         };
-        self.report.note_tick(place, absent);
-        self.report.missing_keyframes += u64::from(self.pace.lacks_one(place.0, start_ns));
-        self.beginning.note(place, start_ns);
+        self.report.note_tick(id, absent);
+        self.report.missing_keyframes += u64::from(self.pace.lacks_one(id.run, start_ns));
+        self.beginning.note(id, start_ns);
         self.queries.first = self.beginning.first;
         if let Some(start_ns) = start_ns {
-            self.queries.refusals.note_tick(place.0, start_ns);
+            self.queries.refusals.note_tick(id.run, start_ns);
         }
         match self.at {
-            Some(at) if follows(at, place) => self.compute(&next),
+            Some(at) if at.is_followed_by(id) => self.compute(&next),
             // Before the keyframe, or the last, partly published tick of a worker that was
             // replaced.
-            Some(at) if place <= at => self.give_up(&next),
+            Some(at) if id <= at => self.give_up(&next),
             _ => self.wait(next),
         }
     }
@@ -482,25 +483,25 @@ impl Verifier {
     }
 
     fn give_up(&mut self, tick: &Waiting) {
-        let place = (tick.worker_epoch, tick.tick);
+        let id = TickId::new(tick.worker_epoch, tick.tick);
         let lack = match self.lack(tick) {
             Some(Loss::End) => Loss::End,
             // At the beginning of a recording, something is always missing.
-            _ if self.beginning.has(place, tick.start_ns()) => Loss::Before,
+            _ if self.beginning.has(id, tick.start_ns()) => Loss::Before,
             Some(lack) => lack,
             None => Loss::NoKeyframe,
         };
-        self.lose(place, &tick.parts, lack);
+        self.lose(id, &tick.parts, lack);
     }
 
     /// Counts a tick that is not recomputed, and the frames that it sent.
-    fn lose(&mut self, place: (u64, u64), parts: &TickParts, why: Loss) {
-        self.report.lose(place, why);
+    fn lose(&mut self, id: TickId, parts: &TickParts, why: Loss) {
+        self.report.lose(id, why);
         let journal = parts.journal.as_ref().map(|journal| &journal.header);
         for output in self.assembler.outputs() {
             let is_sent = journal.is_some_and(|journal| output.kind.is_sent_in(journal));
             if is_sent || parts.output(output.kind).is_some() {
-                self.report.settle(place, output.kind, &Settled::Not(why));
+                self.report.settle(id, output.kind, &Settled::Not(why));
             }
         }
     }
@@ -514,28 +515,27 @@ impl Verifier {
     fn resume(&mut self) {
         while let Some(first) = self.waiting.front() {
             let run = first.worker_epoch;
-            let from = (run, first.tick.saturating_sub(1));
-            let Some(&(_, tick)) =
-                self.keyframes.range(from..=(run, u64::MAX)).next().map(|(key, _)| key)
-            else {
+            let from = TickId::new(run, first.tick.saturating_sub(1));
+            let until = TickId::new(run, u64::MAX);
+            let Some((&id, _)) = self.keyframes.range(from..=until).next() else {
                 return;
             };
-            while self.waiting.front().is_some_and(|first| first.tick <= tick) {
+            while self.waiting.front().is_some_and(|first| first.tick <= id.tick) {
                 self.give_up_first();
             }
-            let Some(bytes) = self.keyframes.remove(&(run, tick)) else {
+            let Some(bytes) = self.keyframes.remove(&id) else {
                 return;
             };
-            self.beginning.end((run, tick));
+            self.beginning.end(id);
             if let Err(error) =
                 FleetState::decode(&bytes).and_then(|state| self.fleet.restore_state(&state))
             {
-                self.report.refuse_keyframe(tick, &error);
-                self.settle_keyframe((run, tick), &Settled::Not(Loss::Refused));
+                self.report.refuse_keyframe(id.tick, &error);
+                self.settle_keyframe(id, &Settled::Not(Loss::Refused));
                 continue;
             }
-            self.settle_keyframe((run, tick), &Settled::Not(Loss::Given));
-            self.at = Some((run, tick));
+            self.settle_keyframe(id, &Settled::Not(Loss::Given));
+            self.at = Some(id);
             self.catch_up();
         }
     }
@@ -543,7 +543,7 @@ impl Verifier {
     /// Computes consecutive waiting ticks.
     fn catch_up(&mut self) {
         while let (Some(first), Some(at)) = (self.waiting.front(), self.at) {
-            if !follows(at, (first.worker_epoch, first.tick)) {
+            if !at.is_followed_by(TickId::new(first.worker_epoch, first.tick)) {
                 // A tick is missing completely.
                 self.at = None;
                 return;
@@ -557,10 +557,10 @@ impl Verifier {
 
     /// Missing inputs of a tick.
     fn lack(&self, next: &Waiting) -> Option<Loss> {
-        let place = (next.worker_epoch, next.tick);
+        let id = TickId::new(next.worker_epoch, next.tick);
         let Some(journal) = &next.parts.journal else {
             let kind = MessageKind::of::<Ticks>();
-            return Some(self.assembler.lack(place, kind, Loss::Journal));
+            return Some(self.assembler.lack(id, kind, Loss::Journal));
         };
         if journal.header.unlisted > 0 {
             return Some(Loss::Unlisted);
@@ -574,7 +574,7 @@ impl Verifier {
         let mut frames = journal.rows.iter().zip(&next.parts.frames);
         frames.find_map(|(taken, frame)| match frame {
             None if !taken.is_frame() => None,
-            None => Some(self.assembler.lack_of_frame(place, taken)),
+            None => Some(self.assembler.lack_of_frame(id, taken)),
             Some(frame) => {
                 let sent = u64::from(taken.samples) + u64::from(taken.truncated);
                 // The recorder missed the one that the worker took.
@@ -587,14 +587,14 @@ impl Verifier {
     }
 
     fn compute(&mut self, next: &Waiting) {
-        let place = (next.worker_epoch, next.tick);
+        let id = TickId::new(next.worker_epoch, next.tick);
         let lack = self.lack(next);
         let (None, Some(_)) = (lack, &next.parts.journal) else {
             self.at = None;
             let lack = lack.unwrap_or(Loss::Journal);
             let is_before = matches!(lack, Loss::Beginning)
                 && self.beginning.is_before_first()
-                && Beginning { until: None, ..self.beginning }.has(place, next.start_ns());
+                && Beginning { until: None, ..self.beginning }.has(id, next.start_ns());
             if is_before {
                 // The next keyframe begins the recording.
                 self.beginning.until = None;
@@ -603,15 +603,15 @@ impl Verifier {
                 Loss::Beginning if !is_before => Loss::NoKeyframe,
                 lack => lack,
             };
-            return self.lose(place, &next.parts, lack);
+            return self.lose(id, &next.parts, lack);
         };
-        self.at = Some(place);
-        let later = self.keyframes.split_off(&(place.0, place.1.saturating_add(1)));
+        self.at = Some(id);
+        let later = self.keyframes.split_off(&TickId::new(id.run, id.tick.saturating_add(1)));
         let reached = std::mem::replace(&mut self.keyframes, later);
-        self.recompute(place, &next.parts);
+        self.recompute(id, &next.parts);
         for (of, bytes) in reached {
-            if of == place {
-                self.compare_keyframe(place, &bytes);
+            if of == id {
+                self.compare_keyframe(id, &bytes);
             } else {
                 self.leave_keyframe(of);
             }
@@ -619,7 +619,7 @@ impl Verifier {
     }
 
     /// Computes a tick that has all its inputs, and compares its outputs.
-    fn recompute(&mut self, place: (u64, u64), parts: &TickParts) {
+    fn recompute(&mut self, id: TickId, parts: &TickParts) {
         let Some(journal) = &parts.journal else {
             return;
         };
@@ -627,17 +627,17 @@ impl Verifier {
         let journal = &journal.header;
         let intake = &tick(&mut self.fleet, journal);
         let is_compared = has_same_bits(State::SERVICE.name(), self.tick_rules);
-        self.states.note(place, &self.fleet, is_compared);
+        self.states.note(id, &self.fleet, is_compared);
         let (fleet, report) = (&self.fleet, &mut self.report);
-        report.verified(place, fleet.len());
+        report.verified(id, fleet.len());
         let computed = RecomputedTick { fleet, journal, intake, period_ns: self.period_ns };
         for output in self.assembler.outputs() {
             let (kind, is_sent) = (output.kind, output.kind.is_sent_in(journal));
             let settled = match parts.output(kind) {
                 None if !is_sent => continue,
                 None => {
-                    let lack = self.assembler.lack(place, kind, Loss::Output);
-                    report.lack_output(kind, place, lack);
+                    let lack = self.assembler.lack(id, kind, Loss::Output);
+                    report.lack_output(kind, id, lack);
                     Settled::Recomputed(lack)
                 }
                 Some(_) if !has_same_bits(kind.name(), self.tick_rules) && output.is_ours => {
@@ -645,24 +645,24 @@ impl Verifier {
                 }
                 Some(_) if parts.differing.contains(&kind) => {
                     let why = Loss::Differing(kind.name());
-                    report.contradict(place.1, why);
+                    report.contradict(id.tick, why);
                     Settled::Recomputed(why)
                 }
                 Some(recorded) => {
                     output.compare(computed, recorded, &mut |what, robot, difference| {
-                        report.differ(place, what, robot, difference);
+                        report.differ(id, what, robot, difference);
                     });
                     Settled::Compared
                 }
             };
             if !is_sent {
                 // The journal denies the frame.
-                report.contradict(place.1, Loss::Stray(kind.name()));
+                report.contradict(id.tick, Loss::Stray(kind.name()));
             }
-            report.settle(place, kind, &settled);
+            report.settle(id, kind, &settled);
         }
         let plans = journal.flags & tick_flag::PLAN_STATES != 0;
-        self.queries.ticked(place, fleet, plans, report);
+        self.queries.ticked(id, fleet, plans, report);
     }
 }
 
@@ -671,11 +671,6 @@ impl Waiting {
     fn start_ns(&self) -> Option<u64> {
         self.parts.journal.as_ref().map(|journal| journal.header.start_ns)
     }
-}
-
-/// True if a tick is the next one of its run. Numbers in a capture may be any.
-fn follows((run, tick): (u64, u64), next: (u64, u64)) -> bool {
-    tick.checked_add(1).is_some_and(|tick| (run, tick) == next)
 }
 
 /// Takes the frames, the ends of sources and the statements like the worker.

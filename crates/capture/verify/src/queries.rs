@@ -4,9 +4,7 @@ use std::collections::BTreeMap;
 
 use joulebus_fleet::Fleet;
 use joulebus_plan::answering::Work;
-use joulebus_plan::{
-    Fleet as PlanFleet, Question, Refused, Reply, RobotRows, acknowledgement, statement,
-};
+use joulebus_plan::{PlanFleet, Question, Refused, Reply, RobotRows, acknowledgement, statement};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
@@ -20,6 +18,7 @@ use crate::coverage::{QUERIES, Settled};
 use crate::loss::Loss;
 use crate::refusals::{self, Refusals, is_by_a_person};
 use crate::report::Verification;
+use crate::tick_id::TickId;
 use joulebus_capture_format::{MessageKind, Query};
 
 /// Maximum memory of ticks kept for questions about them, bytes.
@@ -33,18 +32,15 @@ const MAX_BEYOND_TICKS: u64 = 2;
 /// Maximum number of runs whose last numbers are remembered.
 const MAX_RUNS: usize = 64;
 
-/// Run and number of a tick.
-type TickId = (u64, u64);
-
 /// A question, and the hash of the name of the fleet that it was asked of.
-type Asked = (Query, u64);
+type FleetQuery = (Query, u64);
 
 /// Questions, and the ticks that they may be about.
 #[derive(Debug)]
 pub(super) struct Queries {
     fleet: PlanFleet,
     /// By the later of the two ticks that the answer is computed from.
-    waiting: BTreeMap<TickId, Vec<Asked>>,
+    waiting: BTreeMap<TickId, Vec<FleetQuery>>,
     waiting_bytes: usize,
     kept: BTreeMap<TickId, Tick>,
     kept_bytes: usize,
@@ -143,12 +139,12 @@ impl Queries {
         if let Some(absent) = self.acknowledged_seen.note((header.server_epoch, header.number)) {
             report.settle_absent(run, Acknowledgements::SERVICE.name(), absent);
             let kind = MessageKind::of::<Acknowledgements>();
-            report.settle((run, 0), kind, &Settled::Not(Loss::ByPeople));
+            report.settle(TickId::new(run, 0), kind, &Settled::Not(Loss::ByPeople));
         }
     }
 
     /// Counts a question that is not compared.
-    fn leave(&self, (query, _): &Asked, why: Loss, report: &mut Verification) {
+    fn leave(&self, (query, _): &FleetQuery, why: Loss, report: &mut Verification) {
         let count = if why.is_excused() {
             &mut report.queries_outside
         } else {
@@ -167,12 +163,16 @@ impl Queries {
     }
 
     fn newest_run(&self) -> u64 {
-        self.span.map(|(_, last)| last).or(self.first).map_or(0, |(run, _)| run)
+        self.span.map(|(_, last)| last).or(self.first).map_or(0, |of| of.run)
     }
 
     /// Checks that the question is a person's statement, and was answered like one. Whether the alarm
     /// was raised, or the robot has a battery, is not computed.
-    fn verify_acknowledgement(&self, (query, fleet): &Asked, report: &mut Verification) -> Settled {
+    fn verify_acknowledgement(
+        &self,
+        (query, fleet): &FleetQuery,
+        report: &mut Verification,
+    ) -> Settled {
         let (record, values) = (&query.record, &query.values);
         let decoded = decode_by_a_person(&record.query, values, *fleet);
         let reason = QueryRefusal::decode(record.answer.refusal);
@@ -189,9 +189,9 @@ impl Queries {
             return Settled::Not(Loss::ByPeople);
         }
         let computed = decoded.map(|_| Reply::default());
-        let place = (record.answer.worker_epoch, record.answer.tick);
+        let id = TickId::new(record.answer.worker_epoch, record.answer.tick);
         compare(query, &computed, |robot, difference| {
-            report.differ(place, "query", robot, difference);
+            report.differ(id, "query", robot, difference);
         });
         if computed.is_ok() { Settled::Not(Loss::ByPeople) } else { Settled::Compared }
     }
@@ -200,13 +200,13 @@ impl Queries {
     /// verifies the questions that waited for it.
     pub(super) fn ticked(
         &mut self,
-        place: TickId,
+        id: TickId,
         fleet: &Fleet,
         plans: bool,
         report: &mut Verification,
     ) {
-        let (first, _) = self.span.unwrap_or((place, place));
-        self.span = Some((first, place));
+        let (first, _) = self.span.unwrap_or((id, id));
+        self.span = Some((first, id));
         if plans {
             let rows = 0..fleet.len();
             let tick = Tick {
@@ -214,7 +214,7 @@ impl Queries {
                 budgets: rows.map(|row| fleet.budget(row)).collect(),
             };
             self.kept_bytes += tick.bytes();
-            let before = self.kept.insert(place, tick);
+            let before = self.kept.insert(id, tick);
             self.kept_bytes -= before.as_ref().map_or(0, Tick::bytes);
             while self.kept_bytes > MAX_KEPT
                 && let Some((_, oldest)) = self.kept.pop_first()
@@ -222,7 +222,7 @@ impl Queries {
                 self.kept_bytes -= oldest.bytes();
             }
         }
-        while let Some(due) = self.waiting.first_entry().filter(|due| *due.key() <= place) {
+        while let Some(due) = self.waiting.first_entry().filter(|due| *due.key() <= id) {
             for asked in due.remove() {
                 self.waiting_bytes -= bytes(&asked);
                 // It waits for no later tick.
@@ -237,7 +237,7 @@ impl Queries {
         let waiting = std::mem::take(&mut self.waiting);
         self.waiting_bytes = 0;
         self.refusals.finish(report);
-        for ((run, tick), asked) in waiting {
+        for (TickId { run, tick }, asked) in waiting {
             let last = last_tick(run);
             // A recorder ends between a tick and the answers about it.
             let is_last = last > 0 && tick <= last.saturating_add(MAX_BEYOND_TICKS);
@@ -248,37 +248,37 @@ impl Queries {
 
     /// Computes an answer again and compares it. The tick that has to be computed first is the
     /// error.
-    fn verify(&self, asked: &Asked, report: &mut Verification) -> Result<(), TickId> {
+    fn verify(&self, asked: &FleetQuery, report: &mut Verification) -> Result<(), TickId> {
         let (query, fleet) = asked;
         let answer = &query.record.answer;
         if !is_recomputed(answer) {
             self.leave(asked, Loss::Undefined, report);
             return Ok(());
         }
-        let state = (answer.worker_epoch, answer.tick);
+        let state = TickId::new(answer.worker_epoch, answer.tick);
         let computed = match Question::decode(&query.record.query, &query.values, *fleet) {
             Err(refused) => Err(refused),
             Ok(question) => {
-                let budget = (answer.budget_epoch, answer.budget_tick);
+                let budget = TickId::new(answer.budget_epoch, answer.budget_tick);
                 match (self.find(state), self.find(budget)) {
-                    (Found::Later, Found::Later) => return Err(state.max(budget)),
-                    (Found::Later, _) => return Err(state),
-                    (_, Found::Later) => return Err(budget),
-                    (Found::At(states), Found::At(budgets)) => {
+                    (TickLookup::Later, TickLookup::Later) => return Err(state.max(budget)),
+                    (TickLookup::Later, _) => return Err(state),
+                    (_, TickLookup::Later) => return Err(budget),
+                    (TickLookup::At(states), TickLookup::At(budgets)) => {
                         self.compute(question, answer, states, Some(budgets))
                     }
-                    (Found::At(states), Found::None) => {
+                    (TickLookup::At(states), TickLookup::None) => {
                         self.compute(question, answer, states, None)
                     }
-                    (Found::Absent, _) | (_, Found::Absent) => {
+                    (TickLookup::Absent, _) | (_, TickLookup::Absent) => {
                         self.leave(asked, Loss::NoTick, report);
                         return Ok(());
                     }
-                    (Found::Lost | Found::None, _) | (_, Found::Lost) => {
+                    (TickLookup::Lost | TickLookup::None, _) | (_, TickLookup::Lost) => {
                         self.leave(asked, Loss::NotRecomputed, report);
                         return Ok(());
                     }
-                    (Found::Before, _) | (_, Found::Before) => {
+                    (TickLookup::Before, _) | (_, TickLookup::Before) => {
                         self.leave(asked, Loss::Before, report);
                         return Ok(());
                     }
@@ -321,34 +321,34 @@ impl Queries {
         answered.map_err(|error| Refused::from(&error))
     }
 
-    fn find(&self, place: TickId) -> Found<'_> {
-        if place.1 == 0 {
-            return Found::None;
+    fn find(&self, id: TickId) -> TickLookup<'_> {
+        if id.tick == 0 {
+            return TickLookup::None;
         }
-        if let Some(tick) = self.kept.get(&place) {
-            return Found::At(tick);
+        if let Some(tick) = self.kept.get(&id) {
+            return TickLookup::At(tick);
         }
         let is_near =
-            |(run, tick)| place.0 == run && place.1.saturating_add(MAX_BEYOND_TICKS) >= tick;
+            |of: TickId| id.run == of.run && id.tick.saturating_add(MAX_BEYOND_TICKS) >= of.tick;
         match self.span {
-            Some((first, _)) if place < first => {
+            Some((first, _)) if id < first => {
                 if self.first.is_some_and(is_near) {
-                    Found::Before
+                    TickLookup::Before
                 } else {
-                    Found::Absent
+                    TickLookup::Absent
                 }
             }
-            Some((_, last)) if place <= last => Found::Lost,
-            _ => Found::Later,
+            Some((_, last)) if id <= last => TickLookup::Lost,
+            _ => TickLookup::Later,
         }
     }
 }
 
-fn bytes((query, _): &Asked) -> usize {
-    size_of::<Asked>() + query.memory()
+fn bytes((query, _): &FleetQuery) -> usize {
+    size_of::<FleetQuery>() + query.memory()
 }
 
-enum Found<'a> {
+enum TickLookup<'a> {
     At(&'a Tick),
     /// The answer is computed from no such frame.
     None,
@@ -361,7 +361,7 @@ enum Found<'a> {
 }
 
 /// True if the question, or the acknowledgement, is one.
-fn is_decoded((query, fleet): &Asked) -> bool {
+fn is_decoded((query, fleet): &FleetQuery) -> bool {
     let (asked, values) = (&query.record.query, &query.values);
     if is_by_a_person(asked.kind) {
         decode_by_a_person(asked, values, *fleet).is_ok()

@@ -11,6 +11,7 @@ use crate::assemble::is_among_last;
 use crate::compare::FieldDifference;
 use crate::coverage::{Coverage, QUERIES, RunCoverage, Settled};
 use crate::loss::Loss;
+use crate::tick_id::TickId;
 use joulebus_capture_format::MessageKind;
 
 /// Maximum number of losses and refused keyframes listed.
@@ -194,7 +195,7 @@ impl Verification {
     }
 
     /// Counts a tick of which something was recorded, and those before it that are absent.
-    pub(super) fn note_tick(&mut self, (worker_epoch, _): (u64, u64), absent: u64) {
+    pub(super) fn note_tick(&mut self, TickId { run: worker_epoch, .. }: TickId, absent: u64) {
         self.ticks += 1;
         self.ticks_absent = self.ticks_absent.saturating_add(absent);
         let run = self.counted.run(worker_epoch);
@@ -206,17 +207,17 @@ impl Verification {
         }
     }
 
-    pub(super) fn verified(&mut self, place: (u64, u64), robots: usize) {
+    pub(super) fn verified(&mut self, id: TickId, robots: usize) {
         self.ticks_verified += 1;
         self.robots = self.robots.max(robots);
-        self.counted.recomputed(place);
+        self.counted.recomputed(id);
     }
 
     /// Counts a frame that was sent.
-    pub(super) fn settle(&mut self, (run, tick): (u64, u64), kind: MessageKind, settled: &Settled) {
-        self.counted.settle(run, kind.name(), settled);
+    pub(super) fn settle(&mut self, id: TickId, kind: MessageKind, settled: &Settled) {
+        self.counted.settle(id.run, kind.name(), settled);
         if let Settled::Recomputed(Loss::End) = settled {
-            self.note_end((run, tick), 0);
+            self.note_end(id, 0);
         }
     }
 
@@ -239,7 +240,7 @@ impl Verification {
     }
 
     /// Notes a tick that was cut off.
-    fn note_end(&mut self, (run, tick): (u64, u64), ticks: u64) {
+    fn note_end(&mut self, TickId { run, tick }: TickId, ticks: u64) {
         let (first, count) = self.ends.entry(run).or_insert((tick, 0));
         *first = tick.min(*first);
         *count += ticks;
@@ -261,7 +262,7 @@ impl Verification {
 
     pub(super) fn differ(
         &mut self,
-        (worker_epoch, tick): (u64, u64),
+        TickId { run: worker_epoch, tick }: TickId,
         what: &str,
         robot: Option<u32>,
         (field, recorded, computed): FieldDifference,
@@ -282,16 +283,16 @@ impl Verification {
     }
 
     /// Records a tick that is not computed.
-    pub(super) fn lose(&mut self, (run, tick): (u64, u64), why: Loss) {
+    pub(super) fn lose(&mut self, id: TickId, why: Loss) {
         match why {
             Loss::End => {
                 self.ticks_cut_off += 1;
-                self.note_end((run, tick), 1);
+                self.note_end(id, 1);
             }
             Loss::Before | Loss::Beginning => self.ticks_before_first_keyframe += 1,
             why => {
                 self.ticks_unverified += 1;
-                self.note_loss(tick, why);
+                self.note_loss(id.tick, why);
             }
         }
     }
@@ -308,7 +309,12 @@ impl Verification {
         self.note_loss(tick, Loss::Rules(rules));
     }
 
-    pub(super) fn lack_output(&mut self, kind: MessageKind, (_, tick): (u64, u64), why: Loss) {
+    pub(super) fn lack_output(
+        &mut self,
+        kind: MessageKind,
+        TickId { tick, .. }: TickId,
+        why: Loss,
+    ) {
         if why == Loss::End {
             return;
         }

@@ -53,7 +53,7 @@ struct AlarmsReport {
 }
 
 pub(super) fn run(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> {
-    let mut found = Found::default();
+    let mut found = CapturedAlarms::default();
     for file in files {
         found.read(file)?;
     }
@@ -67,14 +67,14 @@ pub(super) fn run(files: &[PathBuf], output: Output) -> anyhow::Result<Outcome> 
 }
 
 #[derive(Default)]
-struct Found {
+struct CapturedAlarms {
     fleets: BTreeMap<Arc<str>, AlarmHistory>,
     episodes: Vec<Episode>,
     damage: Vec<String>,
     span_ns: Option<(u64, u64)>,
 }
 
-impl Found {
+impl CapturedAlarms {
     fn read(&mut self, path: &Path) -> anyhow::Result<()> {
         let named = || path.display().to_string();
         let source = joulebus_files::open(path).with_context(named)?;

@@ -177,7 +177,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 }
 
 /// The answer of one fleet.
-struct Asked<'a> {
+struct FleetAnswer<'a> {
     config: &'a Config,
     tick: u64,
     age_ns: u64,
@@ -310,7 +310,11 @@ impl Args {
     }
 
     /// Answers here, from shared memory.
-    fn compute<'a>(&self, config: &'a Config, question: Question) -> anyhow::Result<Asked<'a>> {
+    fn compute<'a>(
+        &self,
+        config: &'a Config,
+        question: Question,
+    ) -> anyhow::Result<FleetAnswer<'a>> {
         let mut planner = Planner::with_config(config, "ask")?;
         // The answer stands without them.
         let mut diagnostics = planner.subscriber().diagnostics().ok();
@@ -346,7 +350,7 @@ impl Args {
     }
 
     /// Lets the worker answer.
-    fn send<'a>(&self, config: &'a Config, question: &Question) -> anyhow::Result<Asked<'a>> {
+    fn send<'a>(&self, config: &'a Config, question: &Question) -> anyhow::Result<FleetAnswer<'a>> {
         let mut client = PlanClient::with_config(config, "ask")?;
         let mut missing = Vec::new();
         let mut answered = client.ask(question, WORKER_TIMEOUT);
@@ -407,7 +411,7 @@ impl Args {
     /// Joins the answers of all fleets, the best first. `missing` are the robots of no fleet.
     fn report(
         &self,
-        asked: Vec<Asked<'_>>,
+        asked: Vec<FleetAnswer<'_>>,
         mut missing: Vec<u32>,
         charge_to: Option<f64>,
     ) -> AnswersReport {

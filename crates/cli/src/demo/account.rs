@@ -7,7 +7,7 @@ use serde::Serialize;
 
 /// The samples of a demo.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub(crate) struct Account {
+pub(crate) struct DemoCounts {
     /// Samples sent by the source.
     pub(crate) sent: u64,
     /// Samples that the worker accepted.
@@ -18,7 +18,7 @@ pub(crate) struct Account {
     pub(crate) difference: i128,
 }
 
-impl Account {
+impl DemoCounts {
     pub(super) fn new(sent: u64, accepted: u64, dropped: DropCounts) -> Self {
         let difference = i128::from(sent) - i128::from(accepted) - i128::from(dropped.total());
         let dropped = dropped.iter().map(|(reason, count)| (reason.name(), count)).collect();
@@ -50,7 +50,7 @@ mod tests {
         ] {
             let mut dropped = DropCounts::default();
             drops.iter().for_each(|(reason, count)| dropped.add(*reason, *count));
-            let account = Account::new(100, accepted, dropped);
+            let account = DemoCounts::new(100, accepted, dropped);
             assert_eq!(account.difference, difference, "{accepted} {drops:?}");
             assert_eq!(account.adds_up(), difference == 0);
             let named: Vec<_> = drops.iter().map(|(reason, _)| reason.name()).collect();

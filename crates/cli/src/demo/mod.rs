@@ -20,7 +20,7 @@ use joulebus_program::stop::Stop;
 use crate::supervisor::{Event, Supervisor, Task};
 use crate::watch::PlannerReport;
 
-use account::Account;
+use account::DemoCounts;
 use capture::Captured;
 use directory::DemoDirectory;
 use summary::{Planted, Summary};
@@ -310,9 +310,9 @@ impl Demo<'_> {
 }
 
 /// `sent`: number of samples sent, reported by the source. Without a report, as many as were seen.
-fn account(board: &Board, sent: Option<u64>) -> Account {
+fn account(board: &Board, sent: Option<u64>) -> DemoCounts {
     let sent = sent.unwrap_or_else(|| board.sent.values().sum());
-    Account::new(sent, board.accepted(), board.dropped())
+    DemoCounts::new(sent, board.accepted(), board.dropped())
 }
 
 /// A process of the demo.

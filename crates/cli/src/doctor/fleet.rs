@@ -8,7 +8,7 @@ use joulebus_bus::{
     clock,
 };
 use joulebus_config::Config;
-use joulebus_connect::standby::{Permit, Places};
+use joulebus_connect::standby::{Permit, StandbyFiles};
 use joulebus_consumer::{Event, Subscriber};
 use joulebus_models::load_models;
 use rustix::fs::{Access, access, statfs};
@@ -205,7 +205,7 @@ fn linked(config: &Config, pid: u32) -> Check {
 pub(super) fn permit(config: &Config) -> Option<Check> {
     let name = "permit";
     let now_ns = clock::boot_ns();
-    match Permit::read(&Places::new(config).permit) {
+    match Permit::read(&StandbyFiles::new(config).permit) {
         Ok(permit) => permit.map(|Permit { term, until_ns, .. }| {
             let found = match until_ns.checked_sub(now_ns) {
                 Some(left_ns) if left_ns > 0 => {

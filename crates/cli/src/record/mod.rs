@@ -12,13 +12,13 @@ use std::time::Duration;
 
 use anyhow::Context as _;
 use joulebus_bus::{NoWorker, check_threads, clock};
-use joulebus_capture_format::{CaptureSettings, Preset};
+use joulebus_capture_format::{CaptureSettings, MessageKind, Preset};
 use joulebus_capture_recorder::{
     Options, Recorder, Snapshot, Suits, Summary, Target, attach, host_clock,
 };
 use joulebus_config::Config;
 use joulebus_models::load_models;
-use joulebus_plan::Fleet;
+use joulebus_plan::PlanFleet;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Format, Output, log_line};
 use joulebus_program::stop::Stop;
@@ -38,6 +38,12 @@ const PROGRESS_EVERY_NS: u64 = 5_000_000_000;
 const MAX_SNAPSHOT_BYTES: usize = 512 << 20;
 /// The file name that means stdout.
 const STDOUT: &str = "-";
+
+fn topics_help() -> String {
+    let services: Vec<&str> = MessageKind::of_fleet().map(|kind| kind.name()).collect();
+    let services = services.join(", ");
+    format!("Record only these topics: names of services ({services}) or complete topics")
+}
 
 /// Record a fleet's shared memory to an MCAP file for Foxglove and PlotJuggler
 #[derive(Debug, clap::Args)]
@@ -65,9 +71,7 @@ pub(crate) struct Args {
     /// Start with the next part instead of refusing when the file exists
     #[arg(long)]
     resume: bool,
-    /// Record only these topics: names of services (samples, forecasts, diagnostics, budgets,
-    /// plan_states, outlooks, ticks, state, acknowledgements) or complete topics
-    #[arg(long, value_name = "TOPIC", num_args = 1..)]
+    #[arg(long, value_name = "TOPIC", num_args = 1.., help = topics_help())]
     topics: Vec<String>,
     /// Record topics that match, in addition to --topics
     #[arg(short = 'e', long, value_name = "REGEX")]
@@ -174,7 +178,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// Checks that a worker runs with this config and the models that it names now. Those on disk may
 /// be newer: they count from the worker's next start on.
 fn suits(config: &Config) -> Suits {
-    let fleet = load_models(config).map(|models| Fleet::new(config.settings(), &models));
+    let fleet = load_models(config).map(|models| PlanFleet::new(config.settings(), &models));
     let fleet = fleet.map_err(|error| error.to_string());
     Arc::new(move |header| {
         let fleet = fleet.as_ref().map_err(Clone::clone)?;

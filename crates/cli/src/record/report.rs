@@ -27,7 +27,7 @@ pub(super) struct RecordReport {
     lost: BTreeMap<String, Lost>,
     messages_lost: u64,
     /// Memory buffer of a snapshot that was not written. None for other recordings.
-    kept: Option<Kept>,
+    kept: Option<SnapshotReport>,
     /// Error that stopped the recording, if any.
     failure: Option<String>,
 }
@@ -40,7 +40,7 @@ struct File {
 }
 
 #[derive(Debug, Serialize)]
-struct Kept {
+struct SnapshotReport {
     messages: u64,
     bytes: u64,
     /// Time span from the oldest to the newest, s.
@@ -87,7 +87,7 @@ impl RecordReport {
             differs: summary.differs.clone(),
             lost: lost.collect(),
             messages_lost: summary.messages_lost(),
-            kept: summary.kept.map(|kept| Kept {
+            kept: summary.kept.map(|kept| SnapshotReport {
                 messages: kept.messages,
                 bytes: kept.bytes,
                 span_s: kept.span_ns as f64 * 1e-9,
@@ -136,7 +136,7 @@ impl fmt::Display for RecordReport {
             let (path, messages, bytes) = (&file.path, file.messages, file.bytes);
             writeln!(out, "file {path}: {messages} messages, {bytes} bytes")?;
         }
-        if let Some(Kept { messages, span_s, .. }) = &self.kept {
+        if let Some(SnapshotReport { messages, span_s, .. }) = &self.kept {
             let files = self.files.len();
             writeln!(
                 out,

@@ -69,10 +69,8 @@ pub(crate) struct Args {
     /// Step by step: each key or line plays up to the next frame
     #[arg(long)]
     step: bool,
-    /// Services to play: samples, forecasts, diagnostics, budgets, plan_states, outlooks,
-    /// acknowledgements
-    /// [default: samples]
-    #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = service)]
+    #[arg(long, value_name = "TOPIC", num_args = 1.., value_parser = service,
+        help = format!("Services to play: {} [default: samples]", played().join(", ")))]
     topics: Vec<MessageKind>,
     /// Play a fleet under another name
     #[arg(short = 'm', long, value_name = "OLD:=NEW")]
@@ -93,12 +91,14 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 /// Parses the name of a service or its whole topic.
 fn service(text: &str) -> Result<MessageKind, String> {
     let name = text.rsplit('/').next().unwrap_or(text);
-    let played: Vec<MessageKind> =
-        PlayedChannel::all().into_iter().map(|channel| channel.kind).collect();
-    let found = played.iter().find(|kind| kind.name() == name);
-    let names: Vec<&str> = played.iter().map(|kind| kind.name()).collect();
-    let wrong = || format!("{text:?} is not one of {}", names.join(", "));
-    found.copied().ok_or_else(wrong)
+    let found = PlayedChannel::all().into_iter().map(|channel| channel.kind);
+    let mut found = found.filter(|kind| kind.name() == name);
+    found.next().ok_or_else(|| format!("{text:?} is not one of {}", played().join(", ")))
+}
+
+/// Names of the services that can be played.
+fn played() -> Vec<&'static str> {
+    PlayedChannel::all().into_iter().map(|channel| channel.kind.name()).collect()
 }
 
 /// A fleet name in the capture and the name it is played under.

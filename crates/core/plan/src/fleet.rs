@@ -10,12 +10,12 @@ use crate::robot::Robot;
 
 /// Settings and models of a fleet.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Fleet {
+pub struct PlanFleet {
     platforms: Vec<Platform>,
     settings_hash: u64,
 }
 
-impl Fleet {
+impl PlanFleet {
     /// A fleet of platforms with energy models of any origin. `settings_hash` is
     /// [`FleetSettings::fingerprint`].
     #[must_use]
@@ -79,7 +79,7 @@ impl Fleet {
     }
 
     /// A robot, from a copy of its rows. `None` if this fleet does not have its platform, which
-    /// never happens for the rows of a worker that passes [`Fleet::check`].
+    /// never happens for the rows of a worker that passes [`PlanFleet::check`].
     #[must_use]
     pub fn robot(&self, frames: &Frames<'_>) -> Option<Robot<'_>> {
         let platform = self.platforms.get(usize::from(frames.state.platform))?;

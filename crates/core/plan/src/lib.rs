@@ -22,7 +22,7 @@ pub use answer::{Answer, Caveats, Doubts, Left, Limits, Range, Unknown, Verdict}
 pub use candidates::Candidates;
 pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use estimate::first_energy;
-pub use fleet::Fleet;
+pub use fleet::PlanFleet;
 pub use joulebus_energy::{Outside, Quantity};
 pub use limits::MAX_STEPS;
 pub use path::{Path, Point};

@@ -5,7 +5,7 @@ use joulebus_wire::MAX_QUERY_CANDIDATES;
 use crate::answer::{Answer, Verdict};
 use crate::candidates::Candidates;
 use crate::error::{AskError, QuestionError};
-use crate::fleet::Fleet;
+use crate::fleet::PlanFleet;
 use crate::path::{Path, Point};
 use crate::platform::RobotRows;
 use crate::robot::{Robot, stale};
@@ -129,7 +129,7 @@ impl Question {
     /// [`QuestionError`].
     pub fn answer(
         self,
-        fleet: &Fleet,
+        fleet: &PlanFleet,
         find: impl Fn(u32) -> Option<RobotRows>,
         max_steps: usize,
     ) -> Result<Reply, QuestionError> {
@@ -200,7 +200,7 @@ impl Work {
     ///
     /// # Errors
     /// [`QuestionError`].
-    pub fn step(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
+    pub fn step(&mut self, fleet: &PlanFleet) -> Result<bool, QuestionError> {
         self.advance(fleet)?;
         Ok(self.done >= self.robots.len())
     }
@@ -210,14 +210,14 @@ impl Work {
     ///
     /// # Errors
     /// [`QuestionError`].
-    pub fn rest(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
+    pub fn rest(&mut self, fleet: &PlanFleet) -> Result<bool, QuestionError> {
         while self.advance(fleet)? {}
         Ok(self.done >= self.robots.len())
     }
 
     /// Answers about the next robot, unless a way has to be followed first. Returns whether there
     /// was one to answer.
-    fn advance(&mut self, fleet: &Fleet) -> Result<bool, QuestionError> {
+    fn advance(&mut self, fleet: &PlanFleet) -> Result<bool, QuestionError> {
         let Some(rows) = self.robots.get(self.done) else {
             return Ok(false);
         };

@@ -204,18 +204,18 @@ pub struct ChargerWatch {
     positive: u64,
     /// Sum of the power of driving, W.
     sum_w: f64,
-    run: Run,
+    run: ChargingRun,
 }
 
 /// Successive readings at rest with power into the battery.
 #[derive(Debug, Clone, Copy)]
-struct Run {
+struct ChargingRun {
     readings: u64,
     since_s: f64,
     sum_w: f64,
 }
 
-impl Run {
+impl ChargingRun {
     const NONE: Self = Self { readings: 0, since_s: 0.0, sum_w: 0.0 };
 }
 
@@ -229,7 +229,7 @@ impl ChargerWatch {
     /// With nothing seen.
     #[must_use]
     pub const fn new() -> Self {
-        Self { driven: 0, positive: 0, sum_w: 0.0, run: Run::NONE }
+        Self { driven: 0, positive: 0, sum_w: 0.0, run: ChargingRun::NONE }
     }
 
     /// Takes the next reading, and returns true if it is on the charger.
@@ -252,7 +252,7 @@ impl ChargerWatch {
             return false;
         }
         if !(moves(seen) == Some(false) && seen.power_w < 0.0) {
-            self.run = Run::NONE;
+            self.run = ChargingRun::NONE;
             return false;
         }
         if self.run.readings == 0 {

@@ -4,12 +4,12 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 use joulebus_bus::clock;
-use joulebus_connect::standby::{Permit, PermitError, Places};
+use joulebus_connect::standby::{Permit, PermitError, StandbyFiles};
 
 /// Leadership of this host's worker, with the term. Shared by the threads.
 #[derive(Debug)]
 pub(crate) struct Leadership {
-    places: Places,
+    places: StandbyFiles,
     /// Term in which this host leads. 0 if another or no candidate does.
     term: AtomicU64,
     /// As [`Permit::until_ns`].
@@ -24,7 +24,7 @@ pub(crate) struct Leadership {
 
 impl Leadership {
     /// Continues with the permit of the previous link on this host, if it still holds.
-    pub(crate) fn resume(places: Places) -> Result<(Self, Option<Permit>), PermitError> {
+    pub(crate) fn resume(places: StandbyFiles) -> Result<(Self, Option<Permit>), PermitError> {
         let now_ns = clock::monotonic_ns();
         let boot_ns = clock::boot_ns();
         let permit = Permit::read(&places.permit)?.filter(|permit| permit.holds(boot_ns));
@@ -42,7 +42,7 @@ impl Leadership {
         Ok((leadership, permit))
     }
 
-    pub(crate) const fn places(&self) -> &Places {
+    pub(crate) const fn places(&self) -> &StandbyFiles {
         &self.places
     }
 

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use joulebus_bus::{Background, Rounds, WorkerLock};
 use joulebus_config::Config;
-use joulebus_connect::standby::{Permit, Places};
+use joulebus_connect::standby::{Permit, StandbyFiles};
 use joulebus_plan_server::PlanServer;
 
 use crate::config::{Settings, Side, Standby};
@@ -60,7 +60,7 @@ impl Threads {
         HostClaim { questions, lock }: HostClaim,
         network: Network,
     ) -> anyhow::Result<Self> {
-        let places = Places::new(config);
+        let places = StandbyFiles::new(config);
         let resumed = settings.standby.is_some().then(|| Leadership::resume(places)).transpose()?;
         let (leadership, permit) = match resumed {
             Some((leadership, permit)) => (Some(Arc::new(leadership)), permit),

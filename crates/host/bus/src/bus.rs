@@ -16,8 +16,8 @@ use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::remove_incomplete;
 use crate::cleanup::objects::{named, objects};
 use crate::ipc::Ipc;
-use crate::liveness::kept::Kept;
-use crate::liveness::presence::Need;
+use crate::liveness::guarded::Guarded;
+use crate::liveness::presence::RequiredFiles;
 use crate::membership::{Membership, remove_unused};
 use crate::os::files::effective_uid;
 use crate::os::fork::ForkSection;
@@ -48,8 +48,8 @@ pub(crate) const OPERATORS: &[&str] = &["acknowledge", "page"];
 #[derive(Debug)]
 pub struct Bus {
     // Dropped in this order: need of the worker's lock, node, membership.
-    lock_need: Option<Need>,
-    pub(crate) node: Kept<Node<Ipc>>,
+    lock_need: Option<RequiredFiles>,
+    pub(crate) node: Guarded<Node<Ipc>>,
     pub(crate) member: Rc<Membership>,
     joined: SweepReport,
 }
@@ -99,7 +99,7 @@ impl Bus {
         }
         Ok(Self {
             lock_need: None,
-            node: Kept::new(node, member.presence.need(monitor)),
+            node: Guarded::new(node, member.presence.need(monitor)),
             member: Rc::new(member),
             joined,
         })

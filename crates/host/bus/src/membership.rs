@@ -13,7 +13,7 @@ use crate::cleanup::thread::CleanupThread;
 use crate::directory::RETRY_TIMEOUT;
 use crate::iceoryx_config::{self, IceoryxConfigError};
 use crate::liveness::members_lock::MembersLock;
-use crate::liveness::presence::{Need, Presence};
+use crate::liveness::presence::{Presence, RequiredFiles};
 use crate::marker::{Marked, this_boot};
 use crate::os::files::effective_uid;
 use crate::{CapacityError, Domain, RootError, SweepError, SweepReport};
@@ -28,7 +28,7 @@ pub(crate) struct Membership {
     pub(crate) cleanup: CleanupThread,
     /// Files needed while this process is a member.
     pub(crate) presence: Arc<Presence>,
-    _marker: Need,
+    _marker: RequiredFiles,
     lock: Option<MembersLock>,
 }
 

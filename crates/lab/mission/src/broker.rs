@@ -22,7 +22,7 @@ const PLAN_STEP_NS: u64 = 200_000_000;
 pub(crate) struct Product {
     config: Config,
     models: Vec<Model>,
-    plans: joulebus_plan::Fleet,
+    plans: joulebus_plan::PlanFleet,
     /// The follower that drives, at the platform's rate.
     pub follower: Follower,
     /// The follower that plans.
@@ -59,7 +59,7 @@ impl Product {
             follower: follower(&at_rate)?,
             planned: follower(&coarse)?,
             home: scenario.home(),
-            plans: joulebus_plan::Fleet::of(vec![coarse], settings.fingerprint()),
+            plans: joulebus_plan::PlanFleet::of(vec![coarse], settings.fingerprint()),
             config,
             models,
         })

@@ -58,7 +58,7 @@ pub fn seven_robots(seed: u64, steps: usize) -> Vec<Trial> {
 
 /// Same as [`seven_robots`], with given parameters, and with statistics of the barriers.
 pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
-    let mut fleet = Fleet::new(parts, seed);
+    let mut fleet = SimulatedFleet::new(parts, seed);
     let mut recorders: Vec<Recorder> =
         (0..ROBOTS).map(|_| Recorder::with_capacity(steps)).collect();
     for step in 0..steps.max(2) {
@@ -83,7 +83,7 @@ pub fn run(parts: Parts, seed: u64, steps: usize) -> Run {
     }
 }
 
-struct Fleet {
+struct SimulatedFleet {
     bodies: Vec<Body>,
     walks: Vec<Walk>,
     barrier: Barrier,
@@ -93,7 +93,7 @@ struct Fleet {
     stopped_steps: usize,
 }
 
-impl Fleet {
+impl SimulatedFleet {
     fn new(parts: Parts, seed: u64) -> Self {
         let mut places = Noise::new(seed, PLACES);
         let mut pose = |robot: usize| {

@@ -93,12 +93,12 @@ unsafe fn follow(from: &joulebus_question, robots: &[u32]) -> Result<Plan, Failu
     Ok(Plan::Follow { robots: robots.to_vec(), path, back_to })
 }
 
-pub(crate) struct Places<'a> {
+pub(crate) struct AnswerMemory<'a> {
     rows: &'a mut [AnswerRow],
     power_w: &'a mut [f32],
 }
 
-impl<'a> Places<'a> {
+impl<'a> AnswerMemory<'a> {
     /// Refuses fewer places for rows than a question has answers.
     ///
     /// # Safety

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_plan::answering::Work;
 use joulebus_plan::{
-    Fleet, MAX_STEPS, Path, Plan, Point, Question, QuestionError, RobotRows, Row, Verdict,
+    MAX_STEPS, Path, Plan, PlanFleet, Point, Question, QuestionError, RobotRows, Row, Verdict,
 };
 use joulebus_planner::{ClientError, Config, PlanClient, Planner, ViewError};
 use joulebus_wire::{Alarm, Statement};
@@ -25,7 +25,7 @@ use crate::port_thread::PortThread;
 pub(crate) struct QuestionPorts {
     /// Empty after closing.
     thread: PortThread<Option<Planner>>,
-    fleet: Fleet,
+    fleet: PlanFleet,
 }
 
 /// Acknowledges an alarm of a robot: the worker is asked.
@@ -93,7 +93,7 @@ fn told(
 }
 
 /// The robots asked about, as of one tick.
-struct Seen {
+struct TickStates {
     tick: u64,
     age_ns: u64,
     is_current: bool,
@@ -249,7 +249,7 @@ impl QuestionPorts {
     }
 
     /// The robots as of a current frame. After the time of what there is.
-    fn look(&self, py: Python<'_>, robots: &[u32], timeout_s: f64) -> PyResult<Seen> {
+    fn look(&self, py: Python<'_>, robots: &[u32], timeout_s: f64) -> PyResult<TickStates> {
         let deadline = deadline(Some(timeout_s))?.unwrap_or_else(Instant::now);
         loop {
             let left = deadline.saturating_duration_since(Instant::now());
@@ -278,7 +278,11 @@ impl Nothing {
     }
 }
 
-fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Result<Seen, Nothing>> {
+fn seen(
+    planner: &mut Planner,
+    slice: Duration,
+    robots: &[u32],
+) -> PyResult<Result<TickStates, Nothing>> {
     let view = match planner.wait(slice) {
         Ok(view) => view,
         // The caller learns of an interruption by its signal.
@@ -286,7 +290,7 @@ fn seen(planner: &mut Planner, slice: Duration, robots: &[u32]) -> PyResult<Resu
         Err(ViewError::Read(error)) => return Err(ReadError::new_err(of_read(&error))),
         Err(error) => return Err(ReadError::new_err(error.to_string())),
     };
-    Ok(Ok(Seen {
+    Ok(Ok(TickStates {
         tick: view.tick(),
         age_ns: view.age_ns(),
         is_current: view.is_current(),

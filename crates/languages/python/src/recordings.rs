@@ -52,7 +52,7 @@ pub(crate) struct CaptureRows {
     /// Never locked: Python asks for a type that threads may share.
     reader: Mutex<Reader<File>>,
     wanted: Wanted,
-    seen: Seen,
+    seen: CaptureContents,
     /// Log time of the capture's first message, Unix ns.
     first_ns: Option<u64>,
     has_ended: bool,
@@ -91,7 +91,7 @@ impl Edge {
 
 /// What the capture has, as far as it was read.
 #[derive(Default)]
-struct Seen {
+struct CaptureContents {
     fleets: BTreeSet<String>,
     /// Ends of topics.
     kinds: BTreeSet<String>,
@@ -124,7 +124,7 @@ impl CaptureRows {
             path,
             reader: Mutex::new(reader),
             wanted: Wanted { of, fleet, robots, start, stop },
-            seen: Seen::default(),
+            seen: CaptureContents::default(),
             first_ns: None,
             has_ended: false,
             damage: None,

@@ -35,6 +35,15 @@ pub(crate) struct Job {
     watch: Option<PeerWatch>,
 }
 
+/// State of a job. A job that is answered or refused is removed.
+///
+/// 1. A question is `Waiting` until a current frame of the robots' states is here. It is then
+///    `Working`, a step at a time. If the states become stale meanwhile, it starts again with newer
+///    ones, a few times.
+/// 2. An acknowledgement (`Acknowledging`) waits for diagnostics that show its alarm raised, and is
+///    answered. One that also states the new normal becomes `Stated` once its row was shown.
+/// 3. A statement (`Stating`) is passed on to the worker, and is `Stated` until the worker has taken
+///    it.
 #[derive(Debug)]
 pub(crate) enum State {
     Waiting(Question),

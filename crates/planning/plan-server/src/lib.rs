@@ -18,7 +18,7 @@ use std::time::{Duration, Instant};
 use joulebus_bus::{Background, Steps, ThreadWatch, clock, yield_to_the_worker};
 use joulebus_config::Config;
 use joulebus_models::{ModelsError, load_models};
-use joulebus_plan::Fleet;
+use joulebus_plan::PlanFleet;
 use joulebus_wire::QueryCounts;
 use serde::Serialize;
 
@@ -85,7 +85,7 @@ impl PlanServer {
     pub fn start(config: &Config, statements: Option<Statements>) -> Result<Self, StartError> {
         let shared = Arc::new(Shared::default());
         let thread = if config.queries().answer {
-            let models = Fleet::new(config.settings(), &load_models(config)?);
+            let models = PlanFleet::new(config.settings(), &load_models(config)?);
             let (config, shared) = (config.clone(), Arc::clone(&shared));
             Some(Background::start("joulebus-queries", move || {
                 Ok::<_, StartError>(Answering::new(config, models, shared, statements))
@@ -145,7 +145,7 @@ impl Shared {
 
 struct Answering {
     config: Config,
-    models: Fleet,
+    models: PlanFleet,
     shared: Arc<Shared>,
     statements: Option<Statements>,
     server: Option<Server>,
@@ -159,7 +159,7 @@ struct Answering {
 impl Answering {
     fn new(
         config: Config,
-        models: Fleet,
+        models: PlanFleet,
         shared: Arc<Shared>,
         statements: Option<Statements>,
     ) -> Self {

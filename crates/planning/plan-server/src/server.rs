@@ -5,7 +5,7 @@ use std::sync::mpsc::TrySendError;
 use joulebus_bus::{Bus, Limits, QueryServer, SendError, WaitError, clock, process_id};
 use joulebus_config::Config;
 use joulebus_plan::answering::Work;
-use joulebus_plan::{Fleet, QuestionError, Refused, Reply};
+use joulebus_plan::{PlanFleet, QuestionError, Refused, Reply};
 use joulebus_planner::{Planner, View};
 use joulebus_wire::{
     Acknowledgement, AnswerHeader, MAX_QUERY_STEPS, QueryCounts, QueryRecord, QueryRefusal,
@@ -43,7 +43,7 @@ pub(crate) struct Server {
     planner: Option<Planner>,
     bus: Bus,
     config: Config,
-    models: Fleet,
+    models: PlanFleet,
     /// Hash of its name.
     fleet: u64,
     limits: Limits,
@@ -60,7 +60,7 @@ impl Server {
     /// before any loss of ports.
     pub(crate) fn open(
         config: &Config,
-        models: &Fleet,
+        models: &PlanFleet,
         statements: Option<&Statements>,
         (begun_ns, counts, table): (u64, QueryCounts, Table),
     ) -> Result<Self, ServerError> {

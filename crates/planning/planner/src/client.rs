@@ -35,7 +35,7 @@ pub struct PlanClient {
     client: QueryClient,
     fleet: u64,
     /// Times of the question that waits for an answer.
-    asked: Option<Asked>,
+    asked: Option<QuestionTimes>,
     // After the port, which must be dropped before the process leaves the domain.
     _bus: Bus,
 }
@@ -150,7 +150,7 @@ impl PlanClient {
         (mut header, values): (QueryHeader, Vec<f64>),
         timeout: Duration,
     ) -> Result<(), ClientError> {
-        let asked = Asked::now(timeout);
+        let asked = QuestionTimes::now(timeout);
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;
         let (answer, words) = self.client.ask(header, &values)?;
@@ -174,7 +174,7 @@ impl PlanClient {
         &mut self,
         question: &Question,
         timeout: Duration,
-    ) -> Result<(Asked, QueryHeader, Vec<f64>), ClientError> {
+    ) -> Result<(QuestionTimes, QueryHeader, Vec<f64>), ClientError> {
         let (mut header, values) = question.encode(self.fleet)?;
         // Other plans have no rows along them.
         let has_moments = match &question.plan {
@@ -182,7 +182,7 @@ impl PlanClient {
             plan => plan.robots().len() == 1,
         };
         let moments = if has_moments { question.moments } else { 0 };
-        let asked = Asked { moments, ..Asked::now(timeout) };
+        let asked = QuestionTimes { moments, ..QuestionTimes::now(timeout) };
         header.deadline_ns = asked.deadline_ns;
         self.asked = None;
         Ok((asked, header, values))
@@ -210,14 +210,14 @@ impl PlanClient {
 
 /// When a question was asked, and until when an answer is of use, monotonic ns.
 #[derive(Debug, Clone, Copy)]
-struct Asked {
+struct QuestionTimes {
     begun_ns: u64,
     deadline_ns: u64,
     /// Of the question.
     moments: usize,
 }
 
-impl Asked {
+impl QuestionTimes {
     fn now(timeout: Duration) -> Self {
         let begun_ns = clock::monotonic_ns();
         let timeout_ns = u64::try_from(timeout.as_nanos()).unwrap_or(u64::MAX);
@@ -257,7 +257,7 @@ mod tests {
             sent_ns: 9_000,
             ..AnswerHeader::default()
         };
-        let asked = Asked { begun_ns: 1_200, deadline_ns: u64::MAX, moments: 0 };
+        let asked = QuestionTimes { begun_ns: 1_200, deadline_ns: u64::MAX, moments: 0 };
         let answered = asked.answered(&answer, &[]);
         assert_eq!(answered.map(|answered| answered.age_ns).ok(), Some(8_000));
     }

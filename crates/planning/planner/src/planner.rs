@@ -8,7 +8,7 @@ use joulebus_config::Config;
 use joulebus_connect::ConnectError;
 use joulebus_consumer::{Budgets, Event, Feed, Frame, PlanStates, ReadError, Subscriber, clock};
 use joulebus_models::load_models;
-use joulebus_plan::{Differs, Fleet, Robot, RobotRows};
+use joulebus_plan::{Differs, PlanFleet, Robot, RobotRows};
 use joulebus_wire::AnswerHeader;
 
 /// Reads what plans start from, and answers questions about them. Belongs to one thread, as every
@@ -38,7 +38,7 @@ pub struct Planner {
     subscriber: Subscriber,
     states: Feed<PlanStates>,
     budgets: Feed<Budgets>,
-    fleet: Fleet,
+    fleet: PlanFleet,
 }
 
 /// Errors of reading the fleet's state.
@@ -91,7 +91,7 @@ impl Planner {
     /// [`ConnectError`].
     pub fn with_config(config: &Config, name: &str) -> Result<Self, ConnectError> {
         let models = load_models(config).map_err(|error| ConnectError::Models(error.into()))?;
-        let fleet = Fleet::new(config.settings(), &models);
+        let fleet = PlanFleet::new(config.settings(), &models);
         Self::with_fleet(config, name, fleet)
     }
 
@@ -99,7 +99,7 @@ impl Planner {
     ///
     /// # Errors
     /// [`ConnectError`].
-    pub fn with_fleet(config: &Config, name: &str, fleet: Fleet) -> Result<Self, ConnectError> {
+    pub fn with_fleet(config: &Config, name: &str, fleet: PlanFleet) -> Result<Self, ConnectError> {
         let subscriber = Subscriber::with_config(config, name)?;
         Ok(Self {
             states: subscriber.plan_states()?,
@@ -110,7 +110,7 @@ impl Planner {
     }
 
     /// Settings and models.
-    pub const fn fleet(&self) -> &Fleet {
+    pub const fn fleet(&self) -> &PlanFleet {
         &self.fleet
     }
 
@@ -189,7 +189,7 @@ impl fmt::Debug for Planner {
 pub struct View<'a> {
     states: Frame<'a, PlanStates>,
     budgets: Option<Frame<'a, Budgets>>,
-    fleet: &'a Fleet,
+    fleet: &'a PlanFleet,
     now_ns: u64,
 }
 

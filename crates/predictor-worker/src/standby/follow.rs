@@ -15,7 +15,7 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use joulebus_bus::clock;
-use joulebus_connect::standby::Places;
+use joulebus_connect::standby::StandbyFiles;
 use joulebus_fleet::Fleet;
 use joulebus_settings::FleetSettings;
 
@@ -74,15 +74,15 @@ impl Following {
     }
 
     /// Forgets frames that have become old, or has the fleet take them if no state contains them.
-    pub(crate) fn advance(&mut self, fleet: &mut Fleet, places: &Places) {
+    pub(crate) fn advance(&mut self, fleet: &mut Fleet, files: &StandbyFiles) {
         let now_ns = clock::monotonic_ns();
         if now_ns >= self.look_ns {
             self.look_ns = now_ns.saturating_add(POLL_INTERVAL_NS);
-            self.look(places);
+            self.look(files);
         }
         while let Some(held) = self.backlog.pop_due(now_ns) {
             if self.newest.is_some_and(|(_, taken_ns)| !is_contained(&held, taken_ns)) {
-                self.begin(fleet, places);
+                self.begin(fleet, files);
                 self.take(fleet, &held);
             }
         }
@@ -94,11 +94,11 @@ impl Following {
     pub(crate) fn take_over(
         &mut self,
         fleet: &mut Fleet,
-        places: &Places,
+        files: &StandbyFiles,
         turns: &AtomicU64,
     ) -> (Option<RestoredState>, Replayed) {
-        self.look(places);
-        self.begin(fleet, places);
+        self.look(files);
+        self.begin(fleet, files);
         while let Some(held) = self.backlog.pop() {
             turns.fetch_add(1, Ordering::Relaxed);
             self.take(fleet, &held);
@@ -108,18 +108,18 @@ impl Following {
 
     /// Looks for the newest state. If its file cannot be read any more, nothing is undone: the
     /// samples in its state are not kept elsewhere.
-    fn look(&mut self, places: &Places) {
-        self.newest = self.newest.max(newest(places));
+    fn look(&mut self, files: &StandbyFiles) {
+        self.newest = self.newest.max(newest(files));
     }
 
     /// Restores the newest state, if it is newer than the one that the fleet is from.
-    fn begin(&mut self, fleet: &mut Fleet, places: &Places) {
+    fn begin(&mut self, fleet: &mut Fleet, files: &StandbyFiles) {
         if self.tried.is_some() && self.tried == self.newest {
             return;
         }
         self.tried = self.newest;
         let before = self.restored.map(|state| (state.term, state.taken_ns));
-        if let Some(restored) = restore(fleet, places, before) {
+        if let Some(restored) = restore(fleet, files, before) {
             self.restored = Some(restored);
             (self.replayed, self.tick_ns) = (Replayed::default(), None);
         }
@@ -174,10 +174,10 @@ mod tests {
         Fleet::new(config.settings().clone(), models).unwrap()
     }
 
-    fn places(folder: &Path) -> Places {
+    fn files(folder: &Path) -> StandbyFiles {
         let [permit, keyframe, replica] =
             ["permit", "keyframe", "replica"].map(|name| folder.join(name));
-        Places { permit, keyframe, replica }
+        StandbyFiles { permit, keyframe, replica }
     }
 
     /// Frame `seq` of the run of a source that has sent all before, taken at `taken_ns`.
@@ -212,16 +212,16 @@ mod tests {
     #[test]
     fn samples_of_a_host_that_has_booted_are_taken_while_no_state_comes() {
         let folder = tempfile::tempdir().unwrap();
-        let (places, mut fleet) = (places(folder.path()), fleet());
+        let (files, mut fleet) = (files(folder.path()), fleet());
         let now_ns = clock::monotonic_ns();
-        let taken_ns = save(&places.replica, 1, now_ns - KEEP_NS - 3_000_000_000);
+        let taken_ns = save(&files.replica, 1, now_ns - KEEP_NS - 3_000_000_000);
         let mut following = Following::new(config().settings(), PERIOD_NS);
         // Its clock restarts, and its runs with it.
         for seq in 0..20 {
             let _ = following.keep(held(2, seq, taken_ns + 1_000_000_000 + seq * PERIOD_NS));
         }
-        following.advance(&mut fleet, &places);
-        let (restored, replayed) = following.take_over(&mut fleet, &places, &AtomicU64::new(0));
+        following.advance(&mut fleet, &files);
+        let (restored, replayed) = following.take_over(&mut fleet, &files, &AtomicU64::new(0));
         assert_eq!(restored.map(|state| state.term), Some(1));
         assert_eq!((replayed.frames, replayed.samples), (20, 20));
         assert_eq!((fleet.accepted(), fleet.drops().total()), (30, 0));
@@ -231,26 +231,26 @@ mod tests {
     fn a_state_that_cannot_be_read_any_more_takes_back_nothing_that_was_taken_into_it() {
         for damage in ["removed", "nonsense"] {
             let folder = tempfile::tempdir().unwrap();
-            let (places, mut fleet) = (places(folder.path()), fleet());
+            let (files, mut fleet) = (files(folder.path()), fleet());
             let now_ns = clock::monotonic_ns();
             let begun_ns = now_ns - KEEP_NS - 3_000_000_000;
             // This host's worker has served before the one elsewhere.
-            save(&places.keyframe, 1, begun_ns - 1_000_000_000);
-            let taken_ns = save(&places.replica, 2, begun_ns);
+            save(&files.keyframe, 1, begun_ns - 1_000_000_000);
+            let taken_ns = save(&files.replica, 2, begun_ns);
             let mut following = Following::new(config().settings(), PERIOD_NS);
             for seq in 0..20 {
                 let _ = following.keep(held(9, 10 + seq, taken_ns + seq * PERIOD_NS));
             }
-            following.advance(&mut fleet, &places);
+            following.advance(&mut fleet, &files);
             assert_eq!(fleet.accepted(), 30);
             match damage {
-                "removed" => fs::remove_file(&places.replica).unwrap(),
-                _ => fs::write(&places.replica, damage).unwrap(),
+                "removed" => fs::remove_file(&files.replica).unwrap(),
+                _ => fs::write(&files.replica, damage).unwrap(),
             }
             following.look_ns = 0;
             let _ = following.keep(held(9, 30, taken_ns + 20 * PERIOD_NS));
-            following.advance(&mut fleet, &places);
-            let (restored, replayed) = following.take_over(&mut fleet, &places, &AtomicU64::new(0));
+            following.advance(&mut fleet, &files);
+            let (restored, replayed) = following.take_over(&mut fleet, &files, &AtomicU64::new(0));
             assert_eq!(restored.map(|state| state.term), Some(2), "{damage}");
             assert_eq!(replayed.frames, 21, "{damage}");
             let drops = fleet.drops().total();

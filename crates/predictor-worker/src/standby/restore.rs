@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use joulebus_connect::standby::{Places, SavedState};
+use joulebus_connect::standby::{SavedState, StandbyFiles};
 use joulebus_fleet::{Fleet, FleetState};
 
 /// The source of a worker's state.
@@ -13,13 +13,13 @@ pub(crate) struct RestoredState {
     pub(crate) taken_ns: u64,
 }
 
-fn files(places: &Places) -> [&Path; 2] {
-    [&places.replica, &places.keyframe]
+fn states(files: &StandbyFiles) -> [&Path; 2] {
+    [&files.replica, &files.keyframe]
 }
 
 /// Term of the newest state that the files have, and when it was taken.
-pub(crate) fn newest(places: &Places) -> Option<(u64, u64)> {
-    let read = files(places).into_iter().map(SavedState::read);
+pub(crate) fn newest(files: &StandbyFiles) -> Option<(u64, u64)> {
+    let read = states(files).into_iter().map(SavedState::read);
     // Damage is logged when the state is restored.
     read.filter_map(|read| Some(read.ok()??.order())).max()
 }
@@ -29,11 +29,11 @@ pub(crate) fn newest(places: &Places) -> Option<(u64, u64)> {
 /// is usable or newer than the one `before`. The fleet is then unchanged.
 pub(crate) fn restore(
     fleet: &mut Fleet,
-    places: &Places,
+    files: &StandbyFiles,
     before: Option<(u64, u64)>,
 ) -> Option<RestoredState> {
     let mut found: Vec<(SavedState, &Path)> = Vec::new();
-    for path in files(places) {
+    for path in states(files) {
         match SavedState::read(path) {
             Ok(state) => {
                 let newer = state.filter(|state| Some(state.order()) > before);

@@ -5,7 +5,7 @@ use std::sync::atomic::AtomicBool;
 
 use joulebus_config::Config;
 use simulated_bus as bus;
-use simulated_connect::standby::{Permit, Places};
+use simulated_connect::standby::{Permit, StandbyFiles};
 use simulated_host::{self as host, time};
 use simulated_worker::{RunError, Worker};
 
@@ -43,7 +43,7 @@ fn a_worker_whose_host_was_suspended_until_its_permit_had_ended_sends_nothing_mo
         let mut worker = Worker::open_standby(&config).unwrap();
         let until_ns = time::boot_ns() + 3 * SECOND;
         let permit = Permit { term: 1, until_ns, lease: 0 };
-        permit.write(&Places::new(&config).permit).unwrap();
+        permit.write(&StandbyFiles::new(&config).permit).unwrap();
         assert!(worker.stand_by(&AtomicBool::new(false)).unwrap());
         worker.poll().unwrap();
         let (monotonic_ns, wall_ns) = (time::monotonic_ns(), time::unix_ns());

@@ -126,7 +126,14 @@ impl<R> fmt::Debug for Scan<R> {
     }
 }
 
-/// State of the scan. The source moves into the decompressor and back.
+/// State of the scan.
+///
+/// 1. It begins at the `Top`, where records follow each other.
+/// 2. A chunk moves the source into the decompressor. Its records are yielded until it ends or
+///    breaks. Then the source moves back to the `Top`.
+/// 3. An error notes where it was, in [`Scan::failed`], and ends the scan.
+/// 4. [`Scan::resume`] continues at the next plausible record, at the `Top`.
+/// 5. It is `Gone` for good when a decompressor has kept the source, and after the footer.
 enum State<R> {
     Top(Source<R>),
     Chunk(Box<Chunk<R>>),

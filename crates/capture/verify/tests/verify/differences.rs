@@ -7,7 +7,7 @@ use joulebus_capture_format::{
 };
 use joulebus_capture_verify::{Loss, Output, Verdict, Verifier, WhatIf};
 use joulebus_fleet::Fleet;
-use joulebus_plan::{Fleet as PlanFleet, Plan, Question, Refused, RobotRows};
+use joulebus_plan::{Plan, PlanFleet, Question, Refused, RobotRows};
 use joulebus_testkit_fleets::channels::{Signal, SignalHeader, Signals};
 use joulebus_testkit_fleets::random::Noise;
 use joulebus_testkit_fleets::{self as world, PERIOD_NS};

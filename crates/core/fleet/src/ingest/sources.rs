@@ -8,13 +8,13 @@ use crate::layout::shift::Shift;
 
 /// One run of a source.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Run {
+struct SourceRun {
     epoch: u64,
     /// Samples accounted for: taken, refused or lost.
     accounted: u64,
 }
 
-impl Run {
+impl SourceRun {
     /// Accounts for a frame, and counts the samples lost before it. Returns false for a frame seen
     /// before.
     fn account(&mut self, header: &SampleHeader, samples: u64, drops: &mut DropCounts) -> bool {
@@ -33,9 +33,9 @@ impl Run {
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct Source {
     id: u64,
-    run: Run,
+    run: SourceRun,
     /// The previous run. If it turns out to be the newer one, its samples are not counted again.
-    other: Option<Run>,
+    other: Option<SourceRun>,
     /// When a frame of it was last taken, monotonic ns of the worker. 0 once its run has ended:
     /// from then on it counts as silent for ever.
     taken_ns: u64,
@@ -46,7 +46,7 @@ impl Source {
     const fn new(header: &SampleHeader, accounted: u64, now_ns: u64) -> Self {
         Self {
             id: header.source_id,
-            run: Run { epoch: header.source_epoch, accounted },
+            run: SourceRun { epoch: header.source_epoch, accounted },
             other: None,
             taken_ns: seen_at(now_ns),
         }
@@ -101,7 +101,7 @@ impl Source {
 
     fn replace(&mut self, accounted: u64, epoch: u64) {
         self.other = Some(self.run);
-        self.run = Run { epoch, accounted };
+        self.run = SourceRun { epoch, accounted };
     }
 }
 

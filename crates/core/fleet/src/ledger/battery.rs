@@ -18,7 +18,7 @@ use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
 use crate::ledger::gap::GapPower;
 use crate::ledger::lessons::Lessons;
-use crate::ledger::measured::{Measured, Seen};
+use crate::ledger::measured::{BatterySample, Measured};
 use crate::state::added;
 
 const SIGMAS: f64 = EnergyLeft::SIGMAS;
@@ -394,7 +394,7 @@ impl BatteryState {
 
     /// True if a sample has to be taken robot by robot. `unmetered_ns`: of the ledger after it.
     #[inline(always)]
-    pub(crate) fn needs(&self, seen: &Seen, unmetered_ns: u64) -> bool {
+    pub(crate) fn needs(&self, seen: &BatterySample, unmetered_ns: u64) -> bool {
         let measured = !self.input.is_nan() & self.is_due(seen.stamp_ns);
         let joins = self.interrupted_ns == 0;
         let ends_gap = !seen.reading_w.is_nan() & (unmetered_ns != self.unmetered_ns);
@@ -411,7 +411,7 @@ impl BatteryState {
         (battery, platform): (&Battery, &Platform),
         at: At,
         mean_w: f32,
-        seen: &Seen,
+        seen: &BatterySample,
     ) {
         let counting = Counting::new(battery, platform).of(self.size());
         let unmetered_ns = at.unmetered_ns.saturating_sub(self.unmetered_ns);

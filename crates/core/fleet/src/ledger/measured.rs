@@ -34,7 +34,7 @@ impl Measured {
 
 /// A sample's information about the time before it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Seen {
+pub(crate) struct BatterySample {
     pub stamp_ns: u64,
     /// Power, W. NaN without a reading.
     pub reading_w: f32,

@@ -20,7 +20,7 @@ use crate::ledger::battery::{At, BatteryLanes, Charging};
 use crate::ledger::counting::{Counting, Size};
 use crate::ledger::energy::LedgerLanes;
 use crate::ledger::levels;
-use crate::ledger::measured::Seen;
+use crate::ledger::measured::BatterySample;
 use crate::state::columns::ColumnsMut;
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::PlatformContext;
@@ -252,7 +252,7 @@ fn follow(
         return;
     };
     let mut eventful = [false; LANES];
-    let seen = |lane: usize| Seen {
+    let seen = |lane: usize| BatterySample {
         stamp_ns: absorbed.alarms.stamp_ns[lane],
         reading_w: absorbed.reading_w[lane],
         charging: absorbed.alarms.charging[lane],

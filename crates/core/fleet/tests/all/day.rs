@@ -4,7 +4,7 @@
 
 use joulebus_energy::EnergyModel;
 use joulebus_fleet::{Fleet, Ledger, SavedBattery};
-use joulebus_plan::{Answer, Fleet as PlanFleet, Frames, Platform as PlanPlatform, Verdict};
+use joulebus_plan::{Answer, Frames, PlanFleet, Platform as PlanPlatform, Verdict};
 use joulebus_predictor::{FeatureSet, Model};
 use joulebus_settings::{Battery, ChargeReading, FleetSettings, Platform};
 use joulebus_statistics::poisson::upper_decay;

@@ -4,7 +4,7 @@ use std::path::Path as FilePath;
 
 use joulebus_config::{Config, builtin_model};
 use joulebus_energy::{EnergySample, EnergyState};
-use joulebus_plan::{Fleet, Path, Point, Robot, Trip, Unknown, Verdict};
+use joulebus_plan::{Path, PlanFleet, Point, Robot, Trip, Unknown, Verdict};
 use joulebus_predictor::{Model, Network};
 use joulebus_wire::{PlanState, budget_flag};
 
@@ -13,18 +13,18 @@ use crate::world::Rows;
 const CAPACITY_J: f64 = 33_300.0;
 
 /// The shipped platform with its model and a battery of 9.25 Wh.
-fn fleet() -> Fleet {
+fn fleet() -> PlanFleet {
     let text = "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-99\"]\n\
                 [platform.battery]\ncapacity_wh = 9.25\nreserve = 0.1\ninitial_soc_lo = 0.9\n";
     let config = Config::parse(text, FilePath::new("/nowhere")).expect("the config is valid");
     let (_, bytes) = builtin_model("gternal-sim").expect("it ships");
     let network = Network::from_safetensors(bytes).expect("a valid file");
-    Fleet::new(config.settings(), &[Model::Network(network)])
+    PlanFleet::new(config.settings(), &[Model::Network(network)])
 }
 
 /// A robot that has stood for a minute at 3.5 W, with these states of charge: the best estimate and
 /// the lower bound.
-fn rows(fleet: &Fleet, soc: f64, soc_lo: f64) -> Rows {
+fn rows(fleet: &PlanFleet, soc: f64, soc_lo: f64) -> Rows {
     let mut energy = EnergyState::new(7);
     for _ in 0..1_800 {
         let sample =

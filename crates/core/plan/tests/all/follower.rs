@@ -7,12 +7,12 @@ use std::process::Command;
 use joulebus_config::{Config, builtin_model};
 use joulebus_energy::EnergyState;
 use joulebus_plan::follow::{Follower, Pose};
-use joulebus_plan::{Fleet, Path, PathError, Platform, Point};
+use joulebus_plan::{Path, PathError, PlanFleet, Platform, Point};
 use joulebus_predictor::{Model, Network, Persistence, ResidualStats};
 use joulebus_testkit::counting;
 use proptest::prelude::*;
 
-fn fleet(v_max_mps: f32, omega_max_radps: f32) -> Fleet {
+fn fleet(v_max_mps: f32, omega_max_radps: f32) -> PlanFleet {
     let text =
         "[fleet]\nname = \"lab\"\n[[platform]]\nfile = \"builtin:gternal\"\nrobots = [\"0-9\"]\n";
     let config = Config::parse(text, FilePath::new("/nowhere")).expect("the config is valid");
@@ -21,7 +21,7 @@ fn fleet(v_max_mps: f32, omega_max_radps: f32) -> Fleet {
     settings.platforms[0].omega_max_radps = omega_max_radps;
     let residual = ResidualStats { std_w: 1.0, q05_w: -1.6, q95_w: 1.6 };
     let model = Model::Persistence(Persistence::new(residual).expect("finite"));
-    Fleet::new(&settings, &[model])
+    PlanFleet::new(&settings, &[model])
 }
 
 fn follower(v_max_mps: f32, omega_max_radps: f32) -> Follower {

@@ -4,8 +4,8 @@ use crate::world::{PERIOD_NS, Rows, fleet, model, platform, settings};
 use joulebus_energy::{Commands, EnergyModel, HORIZONS_S, Limit};
 use joulebus_plan::report::AnswerReport;
 use joulebus_plan::{
-    Answer, AskError, Candidates, Differs, Fleet, Frames, Path, PathError, Plan, Platform, Point,
-    Question, Robot, RobotRows, Row, Trip, Unknown, Verdict, rank, rank_each,
+    Answer, AskError, Candidates, Differs, Frames, Path, PathError, Plan, PlanFleet, Platform,
+    Point, Question, Robot, RobotRows, Row, Trip, Unknown, Verdict, rank, rank_each,
 };
 use joulebus_wire::{Budget, InvalidReason, PlanState, Quality, budget_flag, plan_state_flag};
 use proptest::prelude::*;
@@ -147,7 +147,7 @@ fn whatever_is_unknown_is_reported_and_never_yes() {
     }
     let mut settings = platform().settings;
     settings.battery = None;
-    let without = Fleet::of(vec![Platform::new(settings, model(), 1)], 1);
+    let without = PlanFleet::of(vec![Platform::new(settings, model(), 1)], 1);
     let answer = straight(&fine.robot(&without), 0.1, 300);
     assert_eq!(answer.verdict, Verdict::Unknown(Unknown::NoBattery));
     assert!(answer.energy.is_some());
@@ -196,7 +196,7 @@ fn what_is_not_known_of_a_plan_costs_what_the_platform_can_draw_and_a_weak_state
     assert_eq!(answer.verdict, Verdict::Tight);
     // A model file without an energy model.
     let untrained = EnergyModel::untrained(3.0);
-    let bare = Fleet::of(vec![Platform::new(platform().settings, untrained, 1)], 1);
+    let bare = PlanFleet::of(vec![Platform::new(platform().settings, untrained, 1)], 1);
     let answer = straight(&rows.robot(&bare), 0.1, 300);
     assert_eq!((answer.verdict, answer.probability), (Verdict::Yes, None));
     assert!(answer.energy.expect("known").hi_j >= 199.0, "{answer:?}");
@@ -584,8 +584,8 @@ proptest! {
 }
 
 /// The test platform with other energies.
-fn fleet_with(energy: EnergyModel) -> Fleet {
-    Fleet::of(vec![Platform::new(platform().settings, energy, 1)], 1)
+fn fleet_with(energy: EnergyModel) -> PlanFleet {
+    PlanFleet::of(vec![Platform::new(platform().settings, energy, 1)], 1)
 }
 
 #[test]
@@ -730,7 +730,7 @@ fn a_frame_of_another_config_or_model_is_refused_with_both_hashes() {
         (0..count).map(|place| Platform::new(platform().settings, model(), 100 + place))
     };
     for count in [1, 2, 20] {
-        let fleet = Fleet::of(platforms(count).collect(), 7);
+        let fleet = PlanFleet::of(platforms(count).collect(), 7);
         let mut header = Rows::with_usable(1.0).header;
         header.settings_hash = 7;
         header.models = std::array::from_fn(|place| {
@@ -777,7 +777,7 @@ fn loads_and_docking_add_their_energy_to_the_trip_and_to_the_time_to_turn_back()
     let path = Path::new(&[dock, Point::new(1.0, 0.0), end], 0.15);
     let loaded = Path { load_w: vec![0.0, 2.0, -0.5], ..path.clone() };
     let trip = |platform: &Platform, path: &Path, back_to, usable_j| {
-        let fleet = Fleet::of(vec![platform.clone()], 1);
+        let fleet = PlanFleet::of(vec![platform.clone()], 1);
         Rows::with_usable(usable_j).robot(&fleet).can_finish(path, back_to, 0.9).expect("allowed")
     };
     let mean_j = |trip: &Trip| trip.answer.energy.expect("known").mean_j;

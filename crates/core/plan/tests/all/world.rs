@@ -5,7 +5,7 @@ use std::path::Path;
 
 use joulebus_config::Config;
 use joulebus_energy::{CommandModel, EnergyModel, EnergySample, EnergyState};
-use joulebus_plan::{Fleet, Frames, Platform, Robot};
+use joulebus_plan::{Frames, PlanFleet, Platform, Robot};
 use joulebus_settings::FleetSettings;
 use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, SCHEMA_VERSION, budget_flag,
@@ -46,8 +46,8 @@ pub(crate) fn platform() -> Platform {
     Platform::new(settings().platforms[0].clone(), model(), MODEL_HASH)
 }
 
-pub(crate) fn fleet() -> Fleet {
-    Fleet::of(vec![platform()], SETTINGS_HASH)
+pub(crate) fn fleet() -> PlanFleet {
+    PlanFleet::of(vec![platform()], SETTINGS_HASH)
 }
 
 /// The rows of a robot.
@@ -127,7 +127,7 @@ impl Rows {
         }
     }
 
-    pub(crate) fn robot<'a>(&self, fleet: &'a Fleet) -> Robot<'a> {
+    pub(crate) fn robot<'a>(&self, fleet: &'a PlanFleet) -> Robot<'a> {
         let frames = Frames {
             header: &self.header,
             state: &self.state,

@@ -12,7 +12,7 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD as BASE64;
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_connect::standby::{Places, SavedState};
+use joulebus_connect::standby::{SavedState, StandbyFiles};
 use joulebus_testkit::{Child, certificates, eventually, free_port};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -127,7 +127,7 @@ impl Scene {
 
     /// True if a standby host has a state of the leader that was taken after `after_ns`.
     pub(crate) fn has_state(&self, at: usize, after_ns: u64) -> bool {
-        let replica = Places::new(&Config::load(self.bases[at].config()).unwrap()).replica;
+        let replica = StandbyFiles::new(&Config::load(self.bases[at].config()).unwrap()).replica;
         SavedState::read(&replica)
             .is_ok_and(|saved| saved.is_some_and(|state| state.taken_ns > after_ns))
     }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use joulebus_bus::clock;
 use joulebus_config::Config;
-use joulebus_connect::standby::{Permit, Places};
+use joulebus_connect::standby::{Permit, StandbyFiles};
 use joulebus_testkit::{Child, PATIENCE, eventually};
 use rustix::process::Signal;
 use zenoh::Wait as _;
@@ -94,7 +94,7 @@ impl Hosts {
         let now_ns = clock::boot_ns();
         (0..2).find(|at| {
             let config = Config::load(self.scene.bases[*at].config()).unwrap();
-            let permit = Permit::read(&Places::new(&config).permit);
+            let permit = Permit::read(&StandbyFiles::new(&config).permit);
             permit.is_ok_and(|permit| permit.is_some_and(|permit| permit.holds(now_ns)))
         })
     }

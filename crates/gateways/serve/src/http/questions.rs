@@ -11,7 +11,7 @@ use joulebus_config::Config;
 use joulebus_models::load_models;
 use joulebus_plan::answering::Work;
 use joulebus_plan::report::{AnswerReport, AnswersReport};
-use joulebus_plan::{Fleet, Question, Reply, RobotRows, Simplified};
+use joulebus_plan::{PlanFleet, Question, Reply, RobotRows, Simplified};
 use tokio::sync::oneshot;
 
 use super::error::ApiError;
@@ -25,7 +25,7 @@ const COMPUTE_TIMEOUT: Duration = Duration::from_secs(10);
 #[derive(Debug, Default)]
 pub(super) struct Questions {
     /// Settings and models, loaded at the first question.
-    plans: Arc<OnceLock<Fleet>>,
+    plans: Arc<OnceLock<PlanFleet>>,
 }
 
 impl Questions {
@@ -43,7 +43,7 @@ impl Questions {
                 |error| ApiError::busy(format!("the config's models cannot be loaded: {error}"));
             let models = load_models(&config).map_err(failed)?;
             // Only this task has its turn, so no other sets it.
-            let _ = plans.set(Fleet::new(config.settings(), &models));
+            let _ = plans.set(PlanFleet::new(config.settings(), &models));
             Ok(())
         })
         .await
@@ -83,7 +83,7 @@ async fn blocking<T: Send + 'static>(
 }
 
 fn compute(
-    plans: &Fleet,
+    plans: &PlanFleet,
     question: Question,
     rows: &[RobotRows],
     is_gone: &dyn Fn() -> bool,

@@ -1,6 +1,6 @@
 //! Liveness of processes: locks and descriptors that the kernel releases when a process ends.
 
-pub(crate) mod kept;
+pub(crate) mod guarded;
 pub(crate) mod lock_watch;
 pub(crate) mod members_lock;
 pub(crate) mod peer_watch;

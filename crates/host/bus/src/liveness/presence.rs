@@ -33,21 +33,24 @@ type Identity = (u64, u64, u64);
 
 /// Files that are needed while this value lives. To be dropped before their users.
 #[derive(Debug)]
-pub(crate) struct Need {
+pub(crate) struct RequiredFiles {
     presence: Arc<Presence>,
     number: u64,
 }
 
 impl Presence {
     /// From now on the files at `paths` are needed.
-    pub(crate) fn need(self: &Arc<Self>, paths: impl IntoIterator<Item = PathBuf>) -> Need {
+    pub(crate) fn need(
+        self: &Arc<Self>,
+        paths: impl IntoIterator<Item = PathBuf>,
+    ) -> RequiredFiles {
         let need = self.number.fetch_add(1, Ordering::Relaxed);
         let found = paths.into_iter().filter_map(|path| {
             let identity = identity(&path)?;
             Some(NeededFile { path, identity, need })
         });
         self.files().extend(found);
-        Need { presence: Arc::clone(self), number: need }
+        RequiredFiles { presence: Arc::clone(self), number: need }
     }
 
     /// Checks all files. A missing file is reported permanently.
@@ -74,14 +77,14 @@ impl Presence {
     }
 }
 
-impl Need {
+impl RequiredFiles {
     /// True if all files of the process are at their paths.
     pub(crate) fn is_met(&self) -> bool {
         self.presence.look().is_ok()
     }
 }
 
-impl Drop for Need {
+impl Drop for RequiredFiles {
     fn drop(&mut self) {
         let number = self.number;
         self.presence.files().retain(|file| file.need != number);

@@ -12,11 +12,11 @@ use iceoryx2::service::port_factory::PortFactory as _;
 use joulebus_wire::Flow;
 
 use super::degradation::Failures;
-use super::places::{Open, Places};
+use super::places::{OpenPlaces, Places};
 use super::repair::Repair;
 use super::service::{self, Factory, FrameTypes, OpenError};
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept};
+use crate::liveness::guarded::{DropsHere, Guarded};
 use crate::liveness::worker_ports::WorkerPorts;
 use crate::membership::Membership;
 use crate::{Bus, FilesRemoved, Limits, clock};
@@ -32,7 +32,7 @@ type Sample = Borrowed<Ipc, [CustomPayloadMarker], CustomHeaderMarker>;
 #[derive(Debug)]
 struct Lender {
     // Dropped in this order.
-    port: Kept<Port>,
+    port: Guarded<Port>,
     _member: Member,
 }
 
@@ -71,7 +71,7 @@ pub(super) type Member = Rc<Membership>;
 pub(super) struct Inlet {
     // Dropped in this order: port, factory, membership. Frames may keep the port for longer.
     lender: Rc<Lender>,
-    factory: Kept<Factory>,
+    factory: Guarded<Factory>,
     buffer: usize,
     /// Frames that can be queued at once, of all writers.
     queued: usize,
@@ -95,7 +95,7 @@ impl Inlet {
             });
             nodes
         };
-        let open = Open::new(limits, types.flow);
+        let open = OpenPlaces::new(limits, types.flow);
         let places = Places { bus, service, open: Some(open), nodes };
         let subscriber = places.create(
             || subscribe(&factory, shape.buffer, &failures),
@@ -106,7 +106,7 @@ impl Inlet {
         let need = service::need(&bus.member, &factory, None);
         Ok(Self {
             lender: lender(subscriber, &factory, &bus.member),
-            factory: Kept::new(factory, need),
+            factory: Guarded::new(factory, need),
             buffer: shape.buffer,
             queued: shape.buffer * shape.publishers,
             failures,
@@ -201,7 +201,7 @@ impl Inlet {
 
 fn lender(port: Port, factory: &Factory, member: &Member) -> Rc<Lender> {
     let need = service::need(member, factory, None);
-    Rc::new(Lender { port: Kept::new(port, need), _member: Rc::clone(member) })
+    Rc::new(Lender { port: Guarded::new(port, need), _member: Rc::clone(member) })
 }
 
 fn subscribe(

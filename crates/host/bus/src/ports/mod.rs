@@ -24,7 +24,7 @@ use self::inlet::Member;
 pub use self::inlet::ReceiveError;
 use self::noted::Noted;
 pub use self::outlet::{SendError, Sent};
-use self::places::Open;
+use self::places::OpenPlaces;
 pub use self::poll::Poller;
 pub use self::query::{OpenQuery, QueryClient, QueryError, QueryServer};
 pub use self::readiness::Readiness;

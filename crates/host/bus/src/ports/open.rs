@@ -2,7 +2,7 @@
 
 use joulebus_wire::{Channel, Forecasts, Service};
 
-use super::Open;
+use super::OpenPlaces;
 use crate::{
     Bus, Limits, OpenError, Poller, QueryClient, QueryServer, Reader, SampleReader, SampleWriter,
     Waiter, Waker, Writer,
@@ -86,7 +86,7 @@ impl Bus {
     /// # Errors
     /// [`OpenError`].
     pub fn planner_waiter(&self, limits: &Limits) -> Result<Waiter, OpenError> {
-        let open = Open::new(limits, Forecasts::FLOW);
+        let open = OpenPlaces::new(limits, Forecasts::FLOW);
         Waiter::open(self, Service::WAKE, limits, limits.wake(), Some(open))
     }
 

@@ -18,7 +18,7 @@ use super::repair::Repair;
 use super::service::{self, Factory, FrameTypes, OpenError};
 use super::wait::WaitError;
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept};
+use crate::liveness::guarded::{DropsHere, Guarded};
 use crate::membership::Membership;
 use crate::os::memory;
 use crate::preflight::{check_memory, segment_bytes};
@@ -51,7 +51,7 @@ impl OutFrame {
 #[derive(Debug)]
 pub(super) struct Outlet {
     // Dropped in this order: port, factory, membership.
-    port: Kept<(Port, Factory)>,
+    port: Guarded<(Port, Factory)>,
     max_len: usize,
     failures: Arc<Failures>,
     repair: Repair,
@@ -87,7 +87,7 @@ impl Outlet {
         memory::populate(&publisher.id().value().to_string());
         let need = service::need(&bus.member, &factory, Some(publisher.id().value()));
         Ok(Self {
-            port: Kept::new((publisher, factory), need),
+            port: Guarded::new((publisher, factory), need),
             max_len,
             failures,
             repair: Repair::default(),

@@ -19,12 +19,12 @@ const TRIES: u64 = 4;
 
 /// Places that anybody may take. Members of the names in `own` have others beside these.
 #[derive(Clone, Copy)]
-pub(super) struct Open {
+pub(super) struct OpenPlaces {
     pub(super) places: usize,
     pub(super) own: &'static [&'static str],
 }
 
-impl Open {
+impl OpenPlaces {
     /// Those of a channel. The fleet's own members have others beside them.
     pub(super) fn new(limits: &Limits, flow: Flow) -> Self {
         Self { places: limits.open_places(flow), own: OWN }
@@ -35,7 +35,7 @@ impl Open {
 pub(super) struct Places<'a, N> {
     pub(super) bus: &'a Bus,
     pub(super) service: Service,
-    pub(super) open: Option<Open>,
+    pub(super) open: Option<OpenPlaces>,
     /// The nodes that have a port, one for each.
     pub(super) nodes: N,
 }
@@ -59,7 +59,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
     /// Makes a port that may stay, else `full`. Who comes where all are taken makes none, and who
     /// was one too many gives it back.
     fn enter<P, E>(&self, make: impl Fn() -> Result<P, E>, full: E) -> Result<P, E> {
-        let Some(Open { places: open, own }) = self.limit() else {
+        let Some(OpenPlaces { places: open, own }) = self.limit() else {
             return make();
         };
         let fits = |more: usize| {
@@ -85,7 +85,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
 
     /// The error that no place is left, with the processes that have them.
     fn refused(&self, reason: impl Display) -> OpenError {
-        let Some(Open { places: allowed, own }) = self.limit() else {
+        let Some(OpenPlaces { places: allowed, own }) = self.limit() else {
             return OpenError::port(self.service, reason);
         };
         let mut holders = self.others(own, &(self.nodes)());
@@ -95,7 +95,7 @@ impl<N: Fn() -> Vec<UniqueNodeId>> Places<'_, N> {
     }
 
     /// The places that this member is bound to. `None`: all.
-    fn limit(&self) -> Option<Open> {
+    fn limit(&self) -> Option<OpenPlaces> {
         self.open.filter(|open| !open.own.contains(&self.bus.node.name().as_str()))
     }
 

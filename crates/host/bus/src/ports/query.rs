@@ -28,14 +28,14 @@ use joulebus_wire::{
 
 use super::connection_leak::ConnectionLeak;
 use super::degradation::Failures;
-use super::places::Open;
+use super::places::OpenPlaces;
 use super::repair::Repair;
 use super::service::{self, OpenError, QueryFactory};
 use super::wait::{WaitError, Waiter, Waker};
 use super::{ReceiveError, SendError, Sent};
 use crate::bus::OPERATORS;
 use crate::ipc::Ipc;
-use crate::liveness::kept::{DropsHere, Kept};
+use crate::liveness::guarded::{DropsHere, Guarded};
 use crate::liveness::worker_lock::{Owner, WorkerLock};
 use crate::liveness::worker_ports::{WorkerPorts, process_of};
 use crate::membership::Membership;
@@ -59,7 +59,7 @@ const SEND_RETRY_AFTER: Duration = Duration::from_millis(1);
 #[derive(Debug)]
 pub struct QueryServer {
     // Dropped in this order: port, factory, membership.
-    port: Kept<ServerPort>,
+    port: Guarded<ServerPort>,
     asked: Waiter,
     answered: Waker,
     failures: Arc<Failures>,
@@ -105,7 +105,7 @@ impl QueryServer {
         // Clients whose question the earlier port took send it again. Those not woken, later.
         let _ = answered.wake(WakeEvent::Frame);
         Ok(Self {
-            port: Kept::new((server, factory), need),
+            port: Guarded::new((server, factory), need),
             asked,
             answered,
             failures,
@@ -231,7 +231,7 @@ impl Drop for OpenQuery {
 pub struct QueryClient {
     // Dropped in this order: question in transfer, port, factory, membership.
     pending: Option<Pending>,
-    port: Kept<ClientPort>,
+    port: Guarded<ClientPort>,
     answered: Waiter,
     asked: Waker,
     workers: WorkerPorts,
@@ -251,7 +251,7 @@ impl QueryClient {
         check_memory(usize::try_from(needed).unwrap_or(usize::MAX))?;
         let events = limits.query_events();
         // The first of a client's three ports: who finds no place makes none of them.
-        let open = Open { places: limits.open_query_clients(), own: OPERATORS };
+        let open = OpenPlaces { places: limits.open_query_clients(), own: OPERATORS };
         let answered = Waiter::open(bus, Service::ANSWERED, limits, events, Some(open))?;
         let asked = Waker::open(bus, Service::ASKED, limits, (events.1, events.0))?;
         let factory = service::open_queries(bus, limits)?;
@@ -274,7 +274,7 @@ impl QueryClient {
         let need = service::need(&bus.member, &factory, Some(id));
         Ok(Self {
             pending: None,
-            port: Kept::new((client, factory), need),
+            port: Guarded::new((client, factory), need),
             answered,
             asked,
             workers: WorkerPorts::new(bus.domain()),

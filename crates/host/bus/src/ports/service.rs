@@ -26,7 +26,7 @@ use crate::cleanup::dead_nodes::remove_dead_nodes;
 use crate::cleanup::incomplete::{Abandoned, holders, remove_incomplete};
 use crate::cleanup::objects::named;
 use crate::ipc::Ipc;
-use crate::liveness::presence::Need;
+use crate::liveness::presence::RequiredFiles;
 use crate::membership::Membership;
 use crate::os::fork::ForkSection;
 use crate::preflight::{PORT_BYTES, check_left};
@@ -243,18 +243,18 @@ pub(super) fn create<P, E>(
 
 const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
     use PublishSubscribeCreateError as Create;
-    use PublishSubscribeOpenError as Open;
+    use PublishSubscribeOpenError as OpenPlaces;
     use PublishSubscribeOpenOrCreateError as Error;
     matches!(
         error,
         Error::SystemInFlux
             | Error::PublishSubscribeOpenError(
-                Open::HangsInCreation
-                    | Open::IsMarkedForDestruction
-                    | Open::DoesNotExist
-                    | Open::ServiceInCorruptedState
-                    | Open::ExceedsMaxNumberOfNodes
-                    | Open::Interrupt
+                OpenPlaces::HangsInCreation
+                    | OpenPlaces::IsMarkedForDestruction
+                    | OpenPlaces::DoesNotExist
+                    | OpenPlaces::ServiceInCorruptedState
+                    | OpenPlaces::ExceedsMaxNumberOfNodes
+                    | OpenPlaces::Interrupt
             )
             | Error::PublishSubscribeCreateError(
                 Create::HangsInCreation
@@ -268,18 +268,18 @@ const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
 
 const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
     use EventCreateError as Create;
-    use EventOpenError as Open;
+    use EventOpenError as OpenPlaces;
     use EventOpenOrCreateError as Error;
     matches!(
         error,
         Error::SystemInFlux
             | Error::EventOpenError(
-                Open::HangsInCreation
-                    | Open::IsMarkedForDestruction
-                    | Open::DoesNotExist
-                    | Open::ServiceInCorruptedState
-                    | Open::ExceedsMaxNumberOfNodes
-                    | Open::Interrupt
+                OpenPlaces::HangsInCreation
+                    | OpenPlaces::IsMarkedForDestruction
+                    | OpenPlaces::DoesNotExist
+                    | OpenPlaces::ServiceInCorruptedState
+                    | OpenPlaces::ExceedsMaxNumberOfNodes
+                    | OpenPlaces::Interrupt
             )
             | Error::EventCreateError(
                 Create::IsBeingCreatedByAnotherInstance
@@ -292,18 +292,18 @@ const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
 
 const fn is_transient_query(error: &RequestResponseOpenOrCreateError) -> bool {
     use RequestResponseCreateError as Create;
-    use RequestResponseOpenError as Open;
+    use RequestResponseOpenError as OpenPlaces;
     use RequestResponseOpenOrCreateError as Error;
     matches!(
         error,
         Error::SystemInFlux
             | Error::RequestResponseOpenError(
-                Open::HangsInCreation
-                    | Open::IsMarkedForDestruction
-                    | Open::DoesNotExist
-                    | Open::ServiceInCorruptedState
-                    | Open::ExceedsMaxNumberOfNodes
-                    | Open::Interrupt
+                OpenPlaces::HangsInCreation
+                    | OpenPlaces::IsMarkedForDestruction
+                    | OpenPlaces::DoesNotExist
+                    | OpenPlaces::ServiceInCorruptedState
+                    | OpenPlaces::ExceedsMaxNumberOfNodes
+                    | OpenPlaces::Interrupt
             )
             | Error::RequestResponseCreateError(
                 Create::HangsInCreation
@@ -326,7 +326,7 @@ pub(super) fn need(
     member: &Membership,
     factory: &impl PortFactoryOfAny,
     port: Option<u128>,
-) -> Need {
+) -> RequiredFiles {
     let domain = &member.domain;
     let mut paths = named(domain, factory.service_hash().as_str(), &[".service"]);
     let service = factory.unique_service_id().value().to_string();

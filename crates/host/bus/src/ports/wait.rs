@@ -14,10 +14,10 @@ use joulebus_wire::{Service, WakeEvent};
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
-use super::places::{Open, Places};
+use super::places::{OpenPlaces, Places};
 use super::service::{self, OpenError, need, open_event};
 use crate::ipc::Ipc;
-use crate::liveness::kept::Kept;
+use crate::liveness::guarded::Guarded;
 use crate::membership::Membership;
 use crate::os::watchers::Watchers;
 use crate::{Bus, FilesRemoved, Limits, PeerWatch, clock};
@@ -30,7 +30,7 @@ pub(super) const MAX_SLEEP_NS: u64 = 100_000_000;
 /// Sends a service's event.
 #[derive(Debug)]
 pub struct Waker {
-    notifier: Kept<Notifier<Ipc>>,
+    notifier: Guarded<Notifier<Ipc>>,
     // Dropped after the port.
     _member: Rc<Membership>,
 }
@@ -54,7 +54,7 @@ impl Waker {
         let notifier = service::create(bus, create, is_full)
             .map_err(|reason| OpenError::port(service, reason))?;
         Ok(Self {
-            notifier: Kept::new(notifier, need(&bus.member, &factory, None)),
+            notifier: Guarded::new(notifier, need(&bus.member, &factory, None)),
             _member: Rc::clone(&bus.member),
         })
     }
@@ -113,7 +113,7 @@ impl Woken {
 #[derive(Debug)]
 pub struct Waiter {
     pub(super) watchers: Watchers,
-    listener: Kept<Listener<Ipc>>,
+    listener: Guarded<Listener<Ipc>>,
     // Dropped after the port.
     member: Rc<Membership>,
 }
@@ -124,7 +124,7 @@ impl Waiter {
         service: Service,
         limits: &Limits,
         ports: (usize, usize),
-        open: Option<Open>,
+        open: Option<OpenPlaces>,
     ) -> Result<Self, OpenError> {
         let factory = open_event(bus, service, limits, ports)?;
         let nodes = || {
@@ -143,7 +143,7 @@ impl Waiter {
         let need = need(&bus.member, &factory, Some(listener.id().value()));
         Ok(Self {
             watchers: Watchers::default(),
-            listener: Kept::new(listener, need),
+            listener: Guarded::new(listener, need),
             member: Rc::clone(&bus.member),
         })
     }

@@ -9,10 +9,10 @@
 //! They are files because those survive a kill of any of the processes, are replaced whole (by
 //! renaming), and cost a tick nothing. Files of an earlier boot count as missing.
 
+mod files;
 mod permit;
-mod places;
 mod saved_state;
 
+pub use files::StandbyFiles;
 pub use permit::{Permit, PermitError};
-pub use places::Places;
 pub use saved_state::{SavedState, SavedStateError};

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_bus::clock;
 
-use super::places::{remove, replace};
+use super::files::{remove, replace};
 
 const FIRST_LINE: &str = "joulebus permit 1";
 /// A file that is longer is not a permit's, bytes.

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use joulebus_bus::clock;
 use joulebus_wire::fnv1a;
 
-use super::places::replace;
+use super::files::replace;
 
 /// First bytes of the file. The last of them is its version.
 const MAGIC: [u8; 8] = *b"jbsaved\x01";

@@ -10,7 +10,7 @@ use crate::abi::types::{joulebus_answers, joulebus_client, joulebus_error, joule
 use crate::failure::{Failure, entry};
 use crate::handles::{self, kind};
 use crate::memory::{out, read, text};
-use crate::question::{self, Places};
+use crate::question::{self, AnswerMemory};
 use crate::version;
 
 kind!(PlanClient, joulebus_client, "client", 5);
@@ -70,7 +70,7 @@ pub unsafe extern "C" fn joulebus_client_ask(
             let to = read("answers", answers.cast_const())?;
             // A copy: what is written may lie anywhere.
             let asked = question::read(&raw, !to.power_w.is_null())?;
-            (asked, to, Places::new(&to, &raw)?, out("answers", answers)?)
+            (asked, to, AnswerMemory::new(&to, &raw)?, out("answers", answers)?)
         };
         let timeout = Duration::from_nanos(timeout_ns);
         let found = handles::with(client, |client: &mut PlanClient| {

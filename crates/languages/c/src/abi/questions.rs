@@ -15,7 +15,7 @@ use crate::abi::types::{
 use crate::failure::{Failure, entry};
 use crate::handles::{self, kind};
 use crate::memory::{array, array_mut, check_apart, out, product, read, text};
-use crate::question::{self, Places};
+use crate::question::{self, AnswerMemory};
 use crate::version;
 
 /// A planner that asks, and memory of its calls.
@@ -178,7 +178,7 @@ pub unsafe extern "C" fn joulebus_questions_ask(
             let to = read("answers", answers.cast_const())?;
             // A copy: what is written may lie anywhere.
             let asked = question::read(&raw, !to.power_w.is_null())?;
-            (asked, to, Places::new(&to, &raw)?, out("answers", answers)?)
+            (asked, to, AnswerMemory::new(&to, &raw)?, out("answers", answers)?)
         };
         handles::with(questions, |asker: &mut Questions| {
             let view = asker.planner.view().map_err(not_seen)?;

@@ -18,7 +18,7 @@ use crate::recordings::{Given, Reading, refused_trial};
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Asked {
+struct EvaluationRequest {
     choice: Choice,
     energy: bool,
     resamples: u32,
@@ -26,7 +26,7 @@ struct Asked {
     block_rows: usize,
 }
 
-impl Asked {
+impl EvaluationRequest {
     fn options(&self) -> Options {
         Options {
             energy: self.energy,
@@ -71,7 +71,7 @@ pub(crate) fn evaluate<'py>(
 ) -> PyResult<(String, String, Vec<Bound<'py, PyDict>>)> {
     let (inputs, fit, reading) =
         (Inputs::new(recordings)?, Inputs::new(fit)?, Reading::new(reading)?);
-    let asked: Asked = settings(asked)?;
+    let asked: EvaluationRequest = settings(asked)?;
     let models = models(given_models)?;
     let config = config()?;
     let work = move |reporter: &job::Reporter<Progress>| {

@@ -64,7 +64,7 @@ impl Report {
 
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Asked {
+struct ReportRequest {
     choice: Choice,
     published: bool,
     battery_wh: Option<f64>,
@@ -83,7 +83,7 @@ pub(crate) fn report_recorded(
 ) -> PyResult<Report> {
     let (inputs, fit, reading) =
         (Inputs::new(recordings)?, Inputs::new(fit)?, Reading::new(reading)?);
-    let asked: Asked = settings(asked)?;
+    let asked: ReportRequest = settings(asked)?;
     let allowed = bounds::BATTERY_CAPACITY_WH;
     if let Some(found) = asked.battery_wh.filter(|found| !allowed.contains(found)) {
         let (least, most) = (allowed.start(), allowed.end());

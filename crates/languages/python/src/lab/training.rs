@@ -23,7 +23,7 @@ use crate::training::{EpochRow, epoch_row, refused};
 /// Arguments of `joulebus.train` beside a recipe. None: the recipe's.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Asked {
+struct TrainingRequest {
     recipe: Option<String>,
     split: Option<joulebus_dataset::split::By>,
     seed: Option<u64>,
@@ -34,7 +34,7 @@ struct Asked {
     threads: usize,
 }
 
-impl Asked {
+impl TrainingRequest {
     fn recipe(&self) -> PyResult<Recipe> {
         let recipe = self.recipe.as_deref().map(Recipe::parse).transpose();
         let recipe = recipe
@@ -100,7 +100,7 @@ pub(crate) fn train_recordings<'py>(
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<Made<'py>> {
-    let asked: Asked = settings(asked)?;
+    let asked: TrainingRequest = settings(asked)?;
     let (recipe, threads, reading) = (asked.recipe()?, asked.threads, Reading::new(reading)?);
     let inputs = Inputs::new(recordings)?;
     let parts = [Inputs::new(&parts.0)?, Inputs::new(&parts.1)?];
@@ -134,7 +134,7 @@ pub(crate) fn train_simulated<'py>(
     remark: &Bound<'py, PyAny>,
     progress: &Bound<'py, PyAny>,
 ) -> PyResult<Made<'py>> {
-    let asked: Asked = settings(asked)?;
+    let asked: TrainingRequest = settings(asked)?;
     let set = asked.feature_set.as_deref().map_or(Ok(FeatureSet::Full), feature_set)?;
     let seed = asked.seed.unwrap_or_default();
     let mut training = settings_for_sim(seed, set);

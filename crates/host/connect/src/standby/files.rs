@@ -10,7 +10,7 @@ use joulebus_files::disk;
 /// The files, in the directory of the fleet in shared memory: the last member of the fleet on this
 /// host removes them.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Places {
+pub struct StandbyFiles {
     /// [`Permit`](super::Permit) of this host's worker.
     pub permit: PathBuf,
     /// [`SavedState`](super::SavedState) of this host's worker while it serves.
@@ -19,7 +19,7 @@ pub struct Places {
     pub replica: PathBuf,
 }
 
-impl Places {
+impl StandbyFiles {
     /// The paths of the fleet of `config` on this host.
     #[must_use]
     pub fn new(config: &Config) -> Self {

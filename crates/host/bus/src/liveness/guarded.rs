@@ -5,7 +5,7 @@ use std::fmt;
 use std::mem::ManuallyDrop;
 use std::ops::{Deref, DerefMut};
 
-use super::presence::Need;
+use super::presence::RequiredFiles;
 use crate::os::fork::ForkSection;
 
 /// A value of iceoryx2 that another crate may own. Each crate compiles the code that drops what it
@@ -64,25 +64,25 @@ impl<T> fmt::Debug for DropsHere<T> {
 /// removed, these may be another process's by then: in that case the value is leaked. The process
 /// is about to end.
 #[derive(Debug)]
-pub(crate) struct Kept<T> {
+pub(crate) struct Guarded<T> {
     // Dropped in this order.
-    need: Option<Need>,
+    need: Option<RequiredFiles>,
     value: DropsHere<T>,
     /// While the value is dropped: the last port of a node drops the node.
     section: Option<ForkSection>,
 }
 
-impl<T> Kept<T> {
+impl<T> Guarded<T> {
     /// As [`DropsHere::new`].
-    pub(crate) const fn new(value: T, need: Need) -> Self {
+    pub(crate) const fn new(value: T, need: RequiredFiles) -> Self {
         Self { need: Some(need), value: DropsHere::new(value), section: None }
     }
 }
 
-impl<T> Drop for Kept<T> {
+impl<T> Drop for Guarded<T> {
     fn drop(&mut self) {
         self.section = Some(ForkSection::enter());
-        let is_whole = self.need.as_ref().is_some_and(Need::is_met);
+        let is_whole = self.need.as_ref().is_some_and(RequiredFiles::is_met);
         // From here on the files may be removed.
         self.need = None;
         if !is_whole {
@@ -91,7 +91,7 @@ impl<T> Drop for Kept<T> {
     }
 }
 
-impl<T> Deref for Kept<T> {
+impl<T> Deref for Guarded<T> {
     type Target = T;
 
     fn deref(&self) -> &T {
@@ -99,7 +99,7 @@ impl<T> Deref for Kept<T> {
     }
 }
 
-impl<T> DerefMut for Kept<T> {
+impl<T> DerefMut for Guarded<T> {
     fn deref_mut(&mut self) -> &mut T {
         &mut self.value
     }
