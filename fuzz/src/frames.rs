@@ -10,7 +10,7 @@ use joulebus_fleet::{Fleet, FleetState};
 use joulebus_predictor::Model;
 use joulebus_settings::FleetSettings;
 use joulebus_testkit_fleets::{self as world, MS, PERIOD_NS, Source, healthy};
-use joulebus_wire::{DropReason, Sample, SampleHeader};
+use joulebus_wire::{DropReason, FieldLayout, Row as _, Sample, SampleHeader};
 
 use super::input::Input;
 use super::oracle::{Oracle, compare};
@@ -89,23 +89,15 @@ fn set_header(header: &mut SampleHeader, field: u8, value: u64) {
 }
 
 fn set_sample(sample: &mut Sample, field: u8, value: u64) {
-    let number = f32::from_bits(value as u32);
-    match field % 12 {
-        0 => sample.robot = value as u32,
-        1 => sample.flags = value as u32,
-        2 => sample.flags ^= 1 << (value % 12),
-        3 => sample.seq = value,
-        4 => sample.stamp_ns = value,
-        5 => sample.stamp_ns = sample.stamp_ns.wrapping_add_signed(i64::from(value as i32)),
-        6 => sample.measured_ns = value,
-        7 => sample.v_mps = number,
-        8 => sample.omega_radps = number,
-        9 => sample.power_w = number,
-        10 => {
-            (sample.voltage_v, sample.current_a) = (number, number);
-            (sample.soc, sample.return_j) = (number, number);
+    let fields = Sample::LAYOUT.fields;
+    match usize::from(field) % (fields.len() + 2) {
+        0 => sample.flags ^= 1 << (value % 16),
+        1 => sample.stamp_ns = sample.stamp_ns.wrapping_add_signed(i64::from(value as i32)),
+        at => {
+            let FieldLayout { offset, size, .. } = fields[at - 2];
+            let bytes = &mut bytemuck::bytes_of_mut(sample)[offset..offset + size];
+            bytes.copy_from_slice(&value.to_ne_bytes()[..size]);
         }
-        _ => sample.reserved = value as u32,
     }
 }
 

@@ -175,7 +175,7 @@ mod tests {
     fn each_value_is_refused_outside_its_range_and_named_with_it() {
         assert_eq!(refusal(|_| ()), None);
         type Case = (fn(&mut Sample), DropReason, &'static str);
-        let cases: [Case; 10] = [
+        let cases: [Case; 11] = [
             (
                 |sample| sample.power_w = 3500.0,
                 DropReason::PowerOutOfRange,
@@ -197,6 +197,7 @@ mod tests {
             (|sample| sample.current_a = f32::INFINITY, DropReason::NotFinite, "current_a is inf"),
             (|sample| sample.measured_ns = 1, DropReason::BadTime, "measured after its stamp"),
             (|sample| sample.flags |= sample_flag::FULL, DropReason::BadFlags, "flags"),
+            (|sample| sample.reserved = 1, DropReason::BadFlags, "flags"),
             (|sample| sample.robot = 10_000, DropReason::UnknownRobot, "platform.robots"),
         ];
         for (set, reason, expected) in cases {
@@ -210,5 +211,35 @@ mod tests {
         let unknown =
             refusal(|sample| (sample.flags, sample.power_w, sample.soc) = (0, f32::NAN, 80.0));
         assert_eq!(unknown, None);
+    }
+
+    #[test]
+    fn the_check_without_branches_admits_what_the_table_does() {
+        let settings = settings();
+        let platform = &settings.platforms[0];
+        let power_w = [platform.power_min_w, platform.power_max_w];
+        let ends =
+            [power_w[0], power_w[1], platform.v_max_mps, platform.omega_max_radps, 1.05, 3.6e9];
+        let ends = ends.into_iter().flat_map(|end| [end, -end, end.next_up(), end.next_down()]);
+        let values = ends.chain([0.0, -0.05, (-0.05_f32).next_down(), f32::NAN, f32::INFINITY]);
+        let fields: [fn(&mut Sample) -> &mut f32; 7] = [
+            |sample| &mut sample.power_w,
+            |sample| &mut sample.v_mps,
+            |sample| &mut sample.omega_radps,
+            |sample| &mut sample.soc,
+            |sample| &mut sample.return_j,
+            |sample| &mut sample.voltage_v,
+            |sample| &mut sample.current_a,
+        ];
+        for field in fields {
+            for value in values.clone() {
+                for cleared in (0..32).map(|bit| 1 << bit) {
+                    let mut sample = Sample { flags: !cleared, ..Sample::default() };
+                    *field(&mut sample) = value;
+                    let inside = platform.is_inside(&sample);
+                    assert_eq!(inside, platform.outside(&sample).is_none(), "{sample:?}");
+                }
+            }
+        }
     }
 }

@@ -71,8 +71,7 @@ const SAMPLES: [Faults; 9] = [
         DropReason::BadFlags,
         Some(InvalidReason::BadFlags),
         &[
-            ("unknown flag", |s| s.flags |= 1 << 13),
-            ("reserved field in use", |s| s.reserved = 1),
+            ("unknown flag", |s| s.flags |= 1 << 15),
             ("full off the charger", |s| s.flags |= sample_flag::FULL),
         ],
     ),

@@ -3,7 +3,7 @@
 use std::ffi::c_char;
 
 use ::joulebus_publisher::{Config, PublishError, Publisher, RobotState, Sent, clock};
-use joulebus_wire::{Sample, sample_flag};
+use joulebus_wire::Sample;
 
 use crate::abi::types::{
     joulebus_error, joulebus_not_taken, joulebus_publisher, joulebus_publisher_counts,
@@ -15,9 +15,6 @@ use crate::memory::{array, out, text};
 use crate::version;
 
 kind!(Publisher, joulebus_publisher, "publisher", 1);
-
-/// Flags that a [`joulebus_robot_state`] may have.
-const FLAGS: u32 = sample_flag::ALL & !sample_flag::DISCONTINUITY;
 
 /// Joins the fleet of a config file as a source of samples. The worker need not run.
 ///
@@ -187,12 +184,13 @@ fn due(intended_ns: u64) -> u64 {
 }
 
 fn check(robots: &[joulebus_robot_state]) -> Result<(), Failure> {
-    let unknown = |robot: &joulebus_robot_state| robot.flags & !FLAGS != 0 || robot.reserved != 0;
-    match robots.iter().find(|robot| unknown(robot)) {
+    match robots.iter().find(|robot| !robot.is_known()) {
         None => Ok(()),
         Some(robot) => Err(Failure::argument(format!(
-            "flags of robot {} are {:#x}, reserved is {}: allowed are bits of {FLAGS:#x}, and 0",
-            robot.robot, robot.flags, robot.reserved
+            "flags of robot {} are {:#x}: allowed are bits of {:#x}, and 0 in what is reserved",
+            robot.robot,
+            robot.flags,
+            joulebus_robot_state::FLAGS
         ))),
     }
 }

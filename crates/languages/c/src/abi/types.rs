@@ -94,6 +94,16 @@ pub struct joulebus_robot_state {
     pub reserved: u32,
 }
 
+impl joulebus_robot_state {
+    /// Flags that it may have.
+    pub(crate) const FLAGS: u32 = sample_flag::ALL & !sample_flag::DISCONTINUITY;
+
+    /// True if it states nothing that this release does not know.
+    pub(crate) const fn is_known(&self) -> bool {
+        self.flags & !Self::FLAGS == 0 && self.reserved == 0
+    }
+}
+
 impl From<&joulebus_robot_state> for RobotState {
     fn from(of: &joulebus_robot_state) -> Self {
         let has = |flag| of.flags & flag != 0;

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use joulebus_predictor::Model;
-use joulebus_settings::{FleetSettings, Platform};
+use joulebus_settings::FleetSettings;
 use joulebus_wire::{DropReason, InvalidReason, SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 use super::robot::{Account, Errors, Robot};
@@ -252,7 +252,8 @@ impl Oracle {
         if member.taken >= intake.max_samples_per_tick {
             return Err(DropReason::Backlog);
         }
-        values(sample, &member.robot.platform)?;
+        // Of which values are admitted, joulebus-settings has its own tests.
+        member.robot.platform.admit(sample)?;
         let mut sample = *sample;
         if let Some(last) = member.robot.last {
             let later = sample.stamp_ns > last.stamp_ns;
@@ -318,40 +319,4 @@ impl Oracle {
             member.taken = 0;
         }
     }
-}
-
-fn values(sample: &Sample, platform: &Platform) -> Result<(), DropReason> {
-    let full = sample.has(sample_flag::FULL) && !sample.has(sample_flag::CHARGING);
-    if sample.flags & !0x1_0fff != 0 || sample.reserved != 0 || full {
-        return Err(DropReason::BadFlags);
-    }
-    let known = |flag, value: f32| sample.has(flag).then_some(value);
-    let v = known(sample_flag::V, sample.v_mps);
-    let omega = known(sample_flag::OMEGA, sample.omega_radps);
-    let power = known(sample_flag::POWER, sample.power_w);
-    let voltage = known(sample_flag::VOLTAGE, sample.voltage_v);
-    let current = known(sample_flag::CURRENT, sample.current_a);
-    let soc = known(sample_flag::SOC, sample.soc);
-    let back = known(sample_flag::RETURN, sample.return_j);
-    let all = [v, omega, power, voltage, current, soc, back];
-    if all.into_iter().flatten().any(|value| !value.is_finite()) {
-        return Err(DropReason::NotFinite);
-    }
-    if power.is_some_and(|p| p < platform.power_min_w || p > platform.power_max_w) {
-        return Err(DropReason::PowerOutOfRange);
-    }
-    if v.is_some_and(|v| v.abs() > platform.v_max_mps)
-        || omega.is_some_and(|omega| omega.abs() > platform.omega_max_radps)
-    {
-        return Err(DropReason::CommandOutOfRange);
-    }
-    if soc.is_some_and(|soc| !(-0.05..=1.05).contains(&soc))
-        || back.is_some_and(|j| !(0.0..=3.6e9).contains(&j))
-    {
-        return Err(DropReason::BatteryOutOfRange);
-    }
-    if power.is_some() && sample.measured_ns > sample.stamp_ns {
-        return Err(DropReason::BadTime);
-    }
-    Ok(())
 }
