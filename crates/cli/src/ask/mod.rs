@@ -346,7 +346,7 @@ impl Args {
                 reply.rows.iter().filter_map(|row| platforms.of_robot(row.robot)).collect();
             asked.iter().filter_map(|place| fit.get(*place)).for_each(|text| log_line(text));
         }
-        Ok(Asked { config, tick, age_ns, reply, missing, budgets })
+        Ok(FleetAnswer { config, tick, age_ns, reply, missing, budgets })
     }
 
     /// Lets the worker answer.
@@ -380,7 +380,7 @@ impl Args {
         let read = budgets(config, "ask", &robots, BUDGET_TIMEOUT);
         let budgets = read.map(|(found, _)| found).unwrap_or_default();
         note_pauses(&budgets);
-        Ok(Asked { config, tick, age_ns, reply, missing, budgets })
+        Ok(FleetAnswer { config, tick, age_ns, reply, missing, budgets })
     }
 
     /// Splits several robots into a question about those that are there, and the others. If none

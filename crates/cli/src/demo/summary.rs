@@ -6,7 +6,7 @@ use joulebus_board::{AheadScores, Board, Raised, Scores};
 use joulebus_wire::{Level, OUTLOOK_HORIZONS};
 use serde::Serialize;
 
-use super::account::Account;
+use super::account::DemoCounts;
 use super::capture::Captured;
 use super::directory::LeftBehind;
 use crate::view::count;
@@ -67,7 +67,7 @@ pub(super) struct Summary {
     /// Time from the start of the source to its end, s.
     duration_s: f64,
     ticks: Ticks,
-    samples: Account,
+    samples: DemoCounts,
     /// True if every sample is accounted for.
     adds_up: bool,
     /// The planner's report. `None` if it did not run at the end.
@@ -87,7 +87,7 @@ pub(super) struct Summary {
 impl Summary {
     pub(super) fn new(
         board: &Board,
-        samples: Account,
+        samples: DemoCounts,
         planner: Option<PlannerReport>,
         planted: &[Planted],
         (seed, duration_s): (u64, f64),
