@@ -26,6 +26,7 @@ unsafe impl Lanes for Avx512 {
 
     const WIDTH: usize = 16;
     const SUMS: usize = 16;
+    const GELU_OVERLAPS: bool = true;
 
     #[inline(always)]
     fn splat(self, value: f32) -> __m512 {

@@ -153,13 +153,15 @@ impl<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize> Job<L>
         let (packed, source) = (self.packed, self.source);
         let mut rest = self.out_w;
         let mut done = 0;
-        let by_input = self.tiling == Tiling::ByInput && S::IS_COLUMNS;
-        if by_input || self.tiling == Tiling::BatchMajor {
+        let by_input = S::IS_COLUMNS || L::GELU_OVERLAPS;
+        if self.tiling == Tiling::ByInput && by_input || self.tiling == Tiling::BatchMajor {
             let (wide, after) = rest.split_at_mut(whole(rest.len(), R * L::WIDTH));
             batch_major::<L, S, R, C>(lanes, packed, source, done, wide);
             done += wide.len();
             let (narrow, after) = after.split_at_mut(whole(after.len(), L::WIDTH));
-            batch_major::<L, S, 1, 8>(lanes, packed, source, done, narrow);
+            if R > 1 {
+                batch_major::<L, S, 1, 8>(lanes, packed, source, done, narrow);
+            }
             done += narrow.len();
             rest = after;
         }

@@ -127,7 +127,7 @@ impl Engine {
             #[cfg(target_arch = "x86_64")]
             Engine::Avx2(lanes) => tiles::<_, _, 2, 4, 3>(lanes, packed, tiling, source, out_w),
             #[cfg(target_arch = "x86_64")]
-            Engine::Avx512(lanes) => tiles::<_, _, 2, 8, 4>(lanes, packed, tiling, source, out_w),
+            Engine::Avx512(lanes) => tiles::<_, _, 1, 16, 4>(lanes, packed, tiling, source, out_w),
         }
     }
 
@@ -148,7 +148,7 @@ impl Engine {
             #[cfg(target_arch = "x86_64")]
             Engine::Avx2(lanes) => roll::<_, 2, 4>(lanes, request, energy_j, power_w),
             #[cfg(target_arch = "x86_64")]
-            Engine::Avx512(lanes) => roll::<_, 2, 8>(lanes, request, energy_j, power_w),
+            Engine::Avx512(lanes) => roll::<_, 1, 16>(lanes, request, energy_j, power_w),
         }
     }
 }

@@ -24,6 +24,8 @@ use std::mem::MaybeUninit;
 
 const WIDE: usize = HIDDEN[0];
 const NARROW: usize = HIDDEN[2];
+/// Inputs by which GELU runs ahead of the multiply-adds that need it: more than its latency.
+const AHEAD: usize = 4;
 
 /// GELU with its table in registers.
 struct Gelu<L: Lanes> {
@@ -55,6 +57,13 @@ impl<L: Lanes> Gelu<L> {
         }
         lanes.add(lanes.add(y, magnitude), tail)
     }
+
+    #[inline(always)]
+    fn apply_all<const R: usize>(&self, lanes: L, values: &mut [L::Vector; R]) {
+        for value in values {
+            *value = self.apply(lanes, *value);
+        }
+    }
 }
 
 /// Uninitialised memory for the values of a layer. Aligned to cache lines: a load across two costs
@@ -69,9 +78,9 @@ impl<T, const O: usize> Scratch<T, O> {
 /// # Safety
 /// Every value must have been written.
 #[inline(always)]
-unsafe fn written<T, const O: usize>(scratch: &Scratch<T, O>) -> &[T; O] {
+unsafe fn written<T, const O: usize>(scratch: &mut Scratch<T, O>) -> &mut [T; O] {
     // SAFETY: `MaybeUninit<T>` has the layout of `T`, and the caller wrote every value.
-    unsafe { &*std::ptr::from_ref(&scratch.0).cast() }
+    unsafe { &mut *std::ptr::from_mut(&mut scratch.0).cast() }
 }
 
 /// `R` vectors of robots. `C` outputs of them at a time are held in registers.
@@ -100,11 +109,34 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for BatchMajor<'_, L, R, C
         let mut odd = Scratch::<[L::Vector; R], WIDE>::NEW;
         let mut even = Scratch::<[L::Vector; R], WIDE>::NEW;
         let mut narrow = Scratch::<[L::Vector; R], NARROW>::NEW;
-        let values = columns::<L, R, C, _, _, _>(lanes, gelu, first, read, self.inputs, &mut odd);
-        let values =
-            columns::<L, R, C, _, _, _>(lanes, gelu, second, Read::all(WIDE), values, &mut even);
-        let values =
-            columns::<L, R, C, _, _, _>(lanes, gelu, third, Read::all(WIDE), values, &mut narrow);
+        let mut inputs = *self.inputs;
+        let all = Read::all(WIDE);
+        // Who computes GELU of the first two layers: they, or the layer that reads them.
+        let (own, next) = (!L::GELU_OVERLAPS, L::GELU_OVERLAPS);
+        let values = columns::<L, R, C, _, _, _>(
+            lanes,
+            gelu,
+            Activated { input: false, output: own },
+            (first, read),
+            &mut inputs,
+            &mut odd,
+        );
+        let values = columns::<L, R, C, _, _, _>(
+            lanes,
+            gelu,
+            Activated { input: next, output: own },
+            (second, all),
+            values,
+            &mut even,
+        );
+        let values = columns::<L, R, C, _, _, _>(
+            lanes,
+            gelu,
+            Activated { input: next, output: true },
+            (third, all),
+            values,
+            &mut narrow,
+        );
         for r in 0..R {
             let sum = last_of_columns(lanes, values, r, last_weights);
             let watt = lanes.add(sum, lanes.splat(last_bias));
@@ -114,6 +146,16 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for BatchMajor<'_, L, R, C
             *watt = canonical(*watt);
         }
     }
+}
+
+/// How GELU of a hidden layer by columns is divided between it and the next.
+#[derive(Clone, Copy)]
+struct Activated {
+    /// The input lacks GELU: it is computed while the first outputs are summed, where it overlaps
+    /// with their multiply-adds.
+    input: bool,
+    /// Outputs get GELU as soon as they are summed.
+    output: bool,
 }
 
 /// A hidden layer by columns: `C` outputs of `R` vectors of robots at a time.
@@ -129,11 +171,11 @@ fn columns<
 >(
     lanes: L,
     gelu: &Gelu<L>,
-    layer: &Dense<I, N>,
-    read: Read,
-    input: &[[L::Vector; R]; I],
+    activated: Activated,
+    (layer, read): (&Dense<I, N>, Read),
+    input: &mut [[L::Vector; R]; I],
     output: &'a mut Scratch<[L::Vector; R], O>,
-) -> &'a [[L::Vector; R]; O] {
+) -> &'a mut [[L::Vector; R]; O] {
     const { assert!(O == N * LINE && LINE.is_multiple_of(C) && LINE.is_multiple_of(L::WIDTH)) };
     for line in 0..N {
         let (weights, bias) = (&layer.weights[line], &layer.bias[line].0);
@@ -143,27 +185,49 @@ fn columns<
             for c in 0..C {
                 sums[c] = [lanes.splat(bias[start + c]); R];
             }
-            for (x, weights) in
-                input[read.first..read.end].iter().zip(&weights[read.first..read.end])
-            {
-                for c in 0..C {
-                    let weight = lanes.splat(weights.0[start + c]);
-                    for r in 0..R {
-                        sums[c][r] = lanes.mul_add(x[r], weight, sums[c][r]);
+            if activated.input && line == 0 && part == 0 {
+                for k in 0..AHEAD.min(I) {
+                    gelu.apply_all(lanes, &mut input[k]);
+                }
+                for k in 0..I {
+                    if k + AHEAD < I {
+                        gelu.apply_all(lanes, &mut input[k + AHEAD]);
                     }
+                    multiply_add(lanes, &input[k], &weights[k].0[start..], &mut sums);
+                }
+            } else {
+                let read = read.first..read.end;
+                for (x, weights) in input[read.clone()].iter().zip(&weights[read]) {
+                    multiply_add(lanes, x, &weights.0[start..], &mut sums);
                 }
             }
             for c in 0..C {
-                let mut values = sums[c];
-                for value in &mut values {
-                    *value = gelu.apply(lanes, *value);
+                if activated.output {
+                    gelu.apply_all(lanes, &mut sums[c]);
                 }
-                output.0[line * LINE + start + c].write(values);
+                output.0[line * LINE + start + c].write(sums[c]);
             }
         }
     }
     // SAFETY: `N` lines of `LINE / C` parts of `C` outputs are all `O`, and each was written.
     unsafe { written(output) }
+}
+
+/// Adds one input to the sums of `C` outputs.
+#[inline(always)]
+fn multiply_add<L: Lanes, const R: usize, const C: usize>(
+    lanes: L,
+    x: &[L::Vector; R],
+    weights: &[f32],
+    sums: &mut [[L::Vector; R]; C],
+) {
+    let weights = &weights[..C];
+    for c in 0..C {
+        let weight = lanes.splat(weights[c]);
+        for r in 0..R {
+            sums[c][r] = lanes.mul_add(x[r], weight, sums[c][r]);
+        }
+    }
 }
 
 /// The weighted sum of the last hidden layer, in the order of [`last_of_row`].
@@ -234,7 +298,7 @@ fn rows_of_layer<'a, L: Lanes, const N: usize, const I: usize, const M: usize, c
         _ => grouped::<L, N, 2, I, M, O>(lanes, gelu, layer, read, input, output),
     }
     // SAFETY: each of the calls above wrote every output of every robot.
-    output.each_ref().map(|row| unsafe { written(row) })
+    output.each_mut().map(|row| unsafe { &*written(row) })
 }
 
 #[inline(always)]

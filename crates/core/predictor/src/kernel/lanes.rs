@@ -20,6 +20,10 @@ pub(crate) unsafe trait Lanes: Copy {
     const WIDTH: usize;
     /// Number of accumulators that fit into registers in addition to the operands.
     const SUMS: usize;
+    /// True if the registers hold GELU's table beside the sums of the batch-major tiling. GELU then
+    /// overlaps with multiply-adds, and batch-major is the fastest tiling even for rows, which it
+    /// has to transpose.
+    const GELU_OVERLAPS: bool = false;
 
     fn splat(self, value: f32) -> Self::Vector;
     /// The first `WIDTH` values. Panics if there are fewer.

@@ -50,8 +50,10 @@ impl<L: Lanes, const R: usize, const C: usize> Job<L> for Roll<'_, R, C> {
             tiles.batch_major::<L, R, C>(lanes, tile);
         }
         let (narrow, rest) = rest.split_at_mut(whole(rest.len(), L::WIDTH));
-        for tile in narrow.chunks_exact_mut(L::WIDTH) {
-            tiles.batch_major::<L, 1, 8>(lanes, tile);
+        if R > 1 {
+            for tile in narrow.chunks_exact_mut(L::WIDTH) {
+                tiles.batch_major::<L, 1, 8>(lanes, tile);
+            }
         }
         let (fours, rest) = rest.as_chunks_mut::<4>();
         for tile in fours {
