@@ -1,6 +1,6 @@
 """Figures in the layout of `joulebus bench --json`, for the scripts in tools/ (standard library only).
 
-    python3 tools/figures.py FOLDER...                    # prints the figures of these folders' *.json as Markdown
+    python3 tools/figures.py FOLDER                       # prints the figures of its *.json as Markdown
     python3 tools/figures.py --compare BEFORE.json AFTER.json    # prints what changed, beyond noise or not
 
 A suite is {schema, machine, build, reports}. A report is {benchmark, input, notes, figures}. A
@@ -120,10 +120,13 @@ def cell(figure):
     return " / ".join(shown(figure[name]) for name in names)
 
 
-def page(suite):
-    """A suite as Markdown: names down, cases across."""
-    parts = [describe(suite)]
-    for report in suite["reports"]:
+def page(*suites):
+    """Suites as Markdown: names down, cases across. A machine or build is described where it changes."""
+    parts, described = [], None
+    for suite, report in ((suite, report) for suite in suites for report in suite["reports"]):
+        if describe(suite) != described:
+            described = describe(suite)
+            parts.append(described)
         told = ", ".join(f"{name} {value}" for name, value in report["input"].items())
         cases = list(dict.fromkeys(figure["case"] for figure in report["figures"]))
         rows = {}
@@ -162,8 +165,7 @@ def compare(old, new):
 def main():
     if sys.argv[1:2] == ["--compare"]:
         return compare(*(json.loads(pathlib.Path(name).read_text()) for name in sys.argv[2:4]))
-    files = [file for folder in sys.argv[1:] for file in sorted(pathlib.Path(folder).glob("*.json"))]
-    print("\n\n".join(page(json.loads(file.read_text())) for file in files))
+    print(page(*(json.loads(file.read_text()) for file in sorted(pathlib.Path(sys.argv[1]).glob("*.json")))))
 
 
 if __name__ == "__main__":

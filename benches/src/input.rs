@@ -1,31 +1,19 @@
-//! Inputs of the measurements, deterministic by seed.
-
-use std::path::Path;
+//! Inputs of the measurements, the same in every run.
 
 use anyhow::Context as _;
-use joulebus_predictor::{Features, MAX_MODEL_BYTES, Network};
+use joulebus_predictor::{Features, Network};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_pcg::Pcg64Mcg;
 
 pub(crate) const MODEL: &str = "gternal-sim";
+pub(crate) const SEED: u64 = 7;
+/// Frames per second of a paced measurement.
+pub(crate) const RATE_HZ: u64 = 30;
 
-/// The network of a model file, or the built-in one, with its name.
-pub(crate) fn network(path: Option<&Path>) -> anyhow::Result<(String, Network)> {
-    match path {
-        None => {
-            let (name, bytes) =
-                joulebus_config::builtin_model(MODEL).context("there is no built-in model")?;
-            Ok((format!("builtin:{name}"), Network::from_safetensors(bytes)?))
-        }
-        Some(path) => {
-            let shown = path.display().to_string();
-            let bytes = joulebus_files::read(path, MAX_MODEL_BYTES as u64)
-                .with_context(|| format!("cannot read {shown}"))?;
-            let network = Network::from_safetensors(&bytes)
-                .with_context(|| format!("the model {shown} is refused"))?;
-            Ok((shown, network))
-        }
-    }
+/// The built-in network.
+pub(crate) fn network() -> anyhow::Result<Network> {
+    let (_, bytes) = joulebus_config::builtin_model(MODEL).context("there is no built-in model")?;
+    Ok(Network::from_safetensors(bytes)?)
 }
 
 /// Rows uniform over the training range, in SI units.

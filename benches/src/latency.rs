@@ -11,8 +11,6 @@ mod figures;
 mod kernel;
 pub mod raw;
 
-pub use figures::distribution;
-
 use std::os::unix::process::CommandExt as _;
 use std::path::PathBuf;
 use std::process::{Child, Command, Stdio};
@@ -21,13 +19,13 @@ use std::time::Duration;
 use crate::arguments::BenchOptions;
 use anyhow::{Context, bail};
 use hdrhistogram::Histogram;
-use joulebus_bus::Scheduling;
 use joulebus_latency::Spread;
-use joulebus_predictor::{Model, Network};
+use joulebus_predictor::Model;
 use joulebus_program::stop::Stop;
 use joulebus_publisher::Pace;
 
-use crate::{Report, threads};
+use crate::Report;
+use crate::input::{self, RATE_HZ};
 
 /// Frames before the measurement starts.
 pub const WARM_UP: u64 = 30;
@@ -149,20 +147,18 @@ struct Row {
 /// Measures all sizes, one after the other. Reports progress on stderr. `launcher` starts this
 /// program in a [`Role`].
 pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<Report> {
-    let (rate_hz, seconds) = (options.rate_hz, options.seconds_or(10));
-    let scheduling = threads::scheduling(options);
-    let model = model()?;
+    let seconds = options.paced_s(10);
+    let model = Model::Network(input::network()?);
     let stop = Stop::on_signals()?;
     let mut rows = Vec::new();
     for robots in options.sizes(&ROBOTS) {
         eprintln!("latency: {robots} robots, {seconds} s");
-        rows.push(row(&model, robots, options, launcher, &stop)?);
+        rows.push(row(&model, robots, seconds, launcher, &stop)?);
     }
     let input = format!(
-        "{rate_hz} frames a second for {seconds} s a size, built-in GTernal model, policy on_frame; \
+        "{RATE_HZ} frames a second for {seconds} s a size, built-in GTernal model, policy on_frame; \
          broker, two raw hops and the kernel are interleaved. Times are from the grid time \
-         at which a frame was due, skipped ones included; {}",
-        describe(&scheduling)
+         at which a frame was due, skipped ones included"
     );
     Ok(figures::report(&input, &rows))
 }
@@ -170,14 +166,13 @@ pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Re
 fn row(
     model: &Model,
     robots: usize,
-    options: &BenchOptions,
+    seconds: u64,
     launcher: &Launcher,
     stop: &Stop,
 ) -> anyhow::Result<Row> {
-    let frames = options.rate_hz * options.seconds_or(10);
-    let period_ns = 1_000_000_000 / options.rate_hz;
-    let scheduling = threads::scheduling(options);
-    let mut broker = broker::Broker::open(launcher, robots, period_ns, &scheduling)?;
+    let frames = RATE_HZ * seconds;
+    let period_ns = 1_000_000_000 / RATE_HZ;
+    let mut broker = broker::Broker::open(launcher, robots, period_ns)?;
     let mut raw = raw::RawHops::open(launcher, robots, period_ns, false)?;
     let mut kernel = kernel::Alone::new(model, robots);
     let mut pace = Pace::every(Duration::from_nanos(period_ns / SHARES));
@@ -204,23 +199,6 @@ fn row(
         kernel_us: kernel,
         passed_over,
     })
-}
-
-fn describe(scheduling: &Scheduling) -> String {
-    if scheduling.is_nothing() {
-        return "the worker is an ordinary process".to_owned();
-    }
-    format!(
-        "the worker has CPUs {:?}, SCHED_FIFO priority {}, memory {}",
-        scheduling.cpus,
-        scheduling.priority,
-        if scheduling.lock_memory { "locked" } else { "unlocked" }
-    )
-}
-
-fn model() -> anyhow::Result<Model> {
-    let (_, bytes) = joulebus_config::builtin_model("gternal-sim").context("no built-in model")?;
-    Ok(Model::Network(Network::from_safetensors(bytes)?))
 }
 
 /// Records the latency at `now_ns` of every grid time covered by one answer: of the `frames` that

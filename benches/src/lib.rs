@@ -1,14 +1,12 @@
 //! Benchmarks: `joulebus bench`, a separate program.
 //!
-//! Every figure has a name that ends in its unit, a case, and the [`Distribution`] of its
-//! repetitions. A [`Suite`] adds the machine, the build and the input, as text and as JSON.
+//! Every figure has a name that ends in its unit, a case, and the distribution of its repetitions.
+//! A [`Suite`] adds the machine, the build and the input, as text and as JSON.
 //! `tools/figures.py` compares two.
 #![allow(missing_docs)] // A program of its own.
 #![forbid(unsafe_code)]
 
 mod arguments;
-mod distribution;
-mod figure;
 mod input;
 mod kernel;
 pub mod latency;
@@ -20,16 +18,11 @@ mod report;
 mod rollout;
 mod rounds;
 mod run;
-mod threads;
 mod tick;
-mod world;
 
 pub use joulebus_latency::{Spread, histogram};
 
-pub use distribution::Distribution;
-pub use figure::{Better, Figure};
-pub use machine::Facts;
-pub use report::{Report, SCHEMA, Suite};
+pub use report::{Report, Suite};
 pub use run::main;
 
 #[cfg(test)]

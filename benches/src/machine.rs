@@ -11,32 +11,32 @@ const ICEORYX2: &str = "0.10.0";
 const UNKNOWN: &str = "unknown";
 
 /// Properties of a machine, a build or an input, by name.
-pub type Facts = BTreeMap<String, Value>;
+pub(crate) type Facts = BTreeMap<String, Value>;
+
+fn facts<const N: usize>(facts: [(&str, Value); N]) -> Facts {
+    facts.map(|(name, value)| (name.to_owned(), value)).into()
+}
 
 /// This machine, as far as Linux reports it.
 pub(crate) fn machine() -> Facts {
-    let cpuinfo = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let read = |path: &str| fs::read_to_string(path).unwrap_or_else(|_| UNKNOWN.to_owned());
+    let setting = |path: &str| read(path).trim().to_owned();
+    let cpuinfo = read("/proc/cpuinfo");
     let field = |name: &str| {
         let line = cpuinfo.lines().find(|line| line.starts_with(name));
         line.and_then(|line| line.split_once(':')).map_or(UNKNOWN, |(_, value)| value.trim())
     };
-    let setting = |path: &str| {
-        fs::read_to_string(path).map_or_else(|_| UNKNOWN.to_owned(), |text| text.trim().to_owned())
-    };
     let cpu = "/sys/devices/system/cpu";
     let boost = setting(&format!("{cpu}/cpufreq/boost"));
     let turbo = turbo(&boost, &setting(&format!("{cpu}/intel_pstate/no_turbo")));
-    let is_virtual = field("flags").split_whitespace().any(|flag| flag == "hypervisor");
-    Facts::from([
-        ("processor".to_owned(), field("model name").into()),
-        (
-            "processors".to_owned(),
-            std::thread::available_parallelism().map_or(1, usize::from).into(),
-        ),
-        ("kernel".to_owned(), setting("/proc/sys/kernel/osrelease").into()),
-        ("governor".to_owned(), setting(&format!("{cpu}/cpu0/cpufreq/scaling_governor")).into()),
-        ("turbo".to_owned(), turbo.into()),
-        ("virtual_machine".to_owned(), is_virtual.into()),
+    let processors = std::thread::available_parallelism().map_or(1, usize::from);
+    facts([
+        ("processor", field("model name").into()),
+        ("processors", processors.into()),
+        ("kernel", setting("/proc/sys/kernel/osrelease").into()),
+        ("governor", setting(&format!("{cpu}/cpu0/cpufreq/scaling_governor")).into()),
+        ("turbo", turbo.into()),
+        ("virtual_machine", field("flags").split(' ').any(|flag| flag == "hypervisor").into()),
     ])
 }
 
@@ -44,13 +44,13 @@ pub(crate) fn machine() -> Facts {
 /// at run time.
 pub(crate) fn build() -> Facts {
     let profile = if cfg!(debug_assertions) { "dev" } else { "release" };
-    Facts::from([
-        ("joulebus".to_owned(), env!("CARGO_PKG_VERSION").into()),
-        ("rustc".to_owned(), env!("BENCH_RUSTC").into()),
-        ("iceoryx2".to_owned(), ICEORYX2.into()),
-        ("profile".to_owned(), format!("{profile}, opt-level {}", env!("BENCH_OPT_LEVEL")).into()),
-        ("target".to_owned(), env!("BENCH_TARGET").into()),
-        ("target_features".to_owned(), env!("BENCH_TARGET_FEATURES").into()),
+    facts([
+        ("joulebus", env!("CARGO_PKG_VERSION").into()),
+        ("rustc", env!("BENCH_RUSTC").into()),
+        ("iceoryx2", ICEORYX2.into()),
+        ("profile", format!("{profile}, opt-level {}", env!("BENCH_OPT_LEVEL")).into()),
+        ("target", env!("BENCH_TARGET").into()),
+        ("target_features", env!("BENCH_TARGET_FEATURES").into()),
     ])
 }
 

@@ -11,10 +11,10 @@ use joulebus_wire::{
     Budget, BudgetHeader, PlanState, PlanStateHeader, Quality, budget_flag, plan_state_flag,
 };
 
-use crate::figure::grouped;
-use crate::rollout::Work;
+use crate::report::quantile;
+use crate::rollout::{Work, title};
 use crate::rounds::{Measurement, calls, interleave};
-use crate::{Distribution, Figure, Report, input, kernel, tick};
+use crate::{Report, input, kernel, tick};
 
 /// Candidates of one robot, and steps of each.
 const CASES: [(usize, usize); 2] = [(16, 50), (1_024, 50)];
@@ -27,36 +27,28 @@ const COVERAGE: f32 = 0.9;
 /// Measures questions of each size, interleaved with the network's rollout of the same commands.
 ///
 /// # Errors
-/// The model cannot be read, or a requested kernel is not supported here.
+/// A requested kernel is not supported here.
 pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
-    let (name, network) = input::network(options.model.as_deref())?;
-    let kernel = kernel::fastest(options.kernel.as_deref())?;
-    let network = kernel::on(&network, kernel)?;
-    let mut report = Report::new("plan")
-        .with_input("model", name)
-        .with_input("kernel", kernel::name(kernel))
-        .with_input("seed", options.seed)
-        .with_input("step_s", STEP_S)
-        .with_input("repetitions", options.repetitions());
+    let (network, report) = kernel::chosen("plan", options)?;
+    let mut report = report.with_input("step_s", STEP_S);
     let fleet = fleet()?;
     let rows = Rows::new(&fleet);
     let robot = rows.robot(&fleet).context("a robot of the fleet")?;
     for (count, steps) in CASES {
-        let mut rollout = Work::new(&network, (1, count, steps), options.seed);
-        let (v_mps, omega_radps) = commands(count * steps, options.seed);
+        let mut rollout = Work::new(&network, (1, count, steps));
+        let (v_mps, omega_radps) = commands(count * steps);
         let candidates = Candidates::new(count, STEP_S, &v_mps, &omega_radps)?;
         let mut answers = robot.what_if(&candidates, COVERAGE)?;
-        let case = format!("1 robot x {} candidates x {steps} steps", grouped(count as u64));
+        let case = title((1, count, steps));
         let ask = || timed(|| what_if(&robot, &candidates, &mut answers));
         let mut measured = [Measurement::new(ask), Measurement::new(|| rollout.run())];
-        interleave(&mut measured, options.repetitions(), options.each());
+        interleave(&mut measured, options.rounds(kernel::ROUNDS), options.each());
         let [asked, rolled] = &measured;
         let us: Vec<f64> = asked.values().iter().map(|ns| ns * 1e-3).collect();
-        report.push(Figure::less, "what_if_us", &case, "µs", &us);
-        if let Some(rollout_ns) = Distribution::new(rolled.values()) {
-            let over: Vec<f64> = asked.values().iter().map(|ns| ns / rollout_ns.p50).collect();
-            report.push(Figure::less, "what_if_over_rollout", &case, "1", &over);
-        }
+        report.less("what_if_us", &case, "µs", &us);
+        let rollout_ns = quantile(rolled.values(), 0.5);
+        let over: Vec<f64> = asked.values().iter().map(|ns| ns / rollout_ns).collect();
+        report.less("what_if_over_rollout", &case, "1", &over);
     }
     gradient(&mut report, &robot, options)?;
     report.notes.push(
@@ -70,7 +62,7 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
 
 /// Energy with its interval, power of every step and gradient of one plan.
 fn gradient(report: &mut Report, robot: &Robot<'_>, options: &BenchOptions) -> anyhow::Result<()> {
-    let (v_mps, omega_radps) = commands(GRADIENT_STEPS, options.seed);
+    let (v_mps, omega_radps) = commands(GRADIENT_STEPS);
     let candidates = Candidates::new(1, STEP_S, &v_mps, &omega_radps)?;
     let mut answers = robot.what_if(&candidates, COVERAGE)?;
     let mut columns = [(); 3].map(|()| vec![0.0; GRADIENT_STEPS]);
@@ -88,10 +80,10 @@ fn gradient(report: &mut Report, robot: &Robot<'_>, options: &BenchOptions) -> a
         ns / repeated as f64
     };
     let mut measured = [Measurement::new(run)];
-    interleave(&mut measured, options.repetitions(), options.each());
+    interleave(&mut measured, options.rounds(kernel::ROUNDS), options.each());
     let us: Vec<f64> = measured[0].values().iter().map(|ns| ns * 1e-3).collect();
     let case = format!("1 robot x {GRADIENT_STEPS} steps");
-    report.push(Figure::less, "energy_power_gradient_us", &case, "µs", &us);
+    report.less("energy_power_gradient_us", &case, "µs", &us);
     Ok(())
 }
 
@@ -109,8 +101,8 @@ fn timed(work: impl FnOnce()) -> f64 {
 }
 
 /// Commands that the platform allows and that the model has seen.
-fn commands(count: usize, seed: u64) -> (Vec<f32>, Vec<f32>) {
-    let wave = |at: usize, times: f64| (times * (at as f64 + seed as f64)).sin() as f32;
+fn commands(count: usize) -> (Vec<f32>, Vec<f32>) {
+    let wave = |at: usize, times: f64| (times * (at as f64 + input::SEED as f64)).sin() as f32;
     let v = (0..count).map(|at| 0.15 * wave(at, 0.37));
     let omega = (0..count).map(|at| 1.2 * wave(at, 0.53));
     (v.collect(), omega.collect())
@@ -118,7 +110,7 @@ fn commands(count: usize, seed: u64) -> (Vec<f32>, Vec<f32>) {
 
 /// The demo's platform with an energy model that reads all of its terms.
 fn fleet() -> anyhow::Result<PlanFleet> {
-    let settings = tick::uniform_settings(1)?;
+    let settings = tick::settings(1)?;
     let energy = EnergyModel {
         command: CommandModel { weights: [0.3; TERMS], ..CommandModel::constant(3.0) },
         calibrated: 6,

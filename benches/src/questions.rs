@@ -18,9 +18,11 @@ use joulebus_predictor_worker::Worker;
 use joulebus_publisher::{Pace, Publisher, RobotState};
 use joulebus_wire::{MAX_QUERY_STEPS, Sample};
 
+use crate::Report;
+use crate::latency::Launcher;
 use crate::latency::raw::RawHops;
-use crate::latency::{Launcher, distribution};
-use crate::{Distribution, Figure, Report};
+use crate::report::quantile;
+use crate::rollout::title;
 
 /// Candidates of one robot, and steps of each.
 const CANDIDATES: usize = 16;
@@ -45,7 +47,7 @@ pub(crate) fn measure(options: &BenchOptions, launcher: &Launcher) -> anyhow::Re
         .with_input("robots", robots)
         .with_input("clients", CLIENTS)
         .with_input("tick_hz", TICK_HZ)
-        .with_input("seconds", options.seconds_or(60));
+        .with_input("seconds", options.paced_s(60));
     answers(&mut report, options, launcher)?;
     ticks(&mut report, options, robots)?;
     report.notes.push(
@@ -162,7 +164,7 @@ struct Times {
 
 fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> anyhow::Result<()> {
     let fleet = Fleet::new(20, 30)?;
-    let rounds = options.repetitions_or(5_000);
+    let rounds = options.rounds(5_000);
     let is_done = AtomicBool::new(false);
     let (times, raw) = fleet.run(20, 30, |turn, stop| {
         std::thread::scope(|scope| {
@@ -177,19 +179,12 @@ fn answers(report: &mut Report, options: &BenchOptions, launcher: &Launcher) -> 
             client.join().ok().context("the client panicked")?
         })
     })?;
-    let case = format!("1 robot x {CANDIDATES} candidates x {STEPS} steps");
-    for (name, us) in [("through_worker_us", &times.through_us), ("in_process_us", &times.here_us)]
-    {
-        report.push(Figure::less, name, &case, "µs", us);
-    }
-    let figure = |spread| Figure::less("raw_two_hops_us", &case, "µs", spread);
-    report.figures.extend(distribution(&raw).map(figure));
-    if let (Some(through), Some(here)) =
-        (Distribution::new(&times.through_us), Distribution::new(&times.here_us))
-    {
-        let ratio = (through.p50 - here.p50) / raw.p50_us;
-        report.push(Figure::less, "way_p50_over_raw_hops", &case, "1", &[ratio]);
-    }
+    let case = title((1, CANDIDATES, STEPS));
+    report.less("through_worker_us", &case, "µs", &times.through_us);
+    report.less("in_process_us", &case, "µs", &times.here_us);
+    report.times("raw_two_hops_us", &case, &raw);
+    let way_us = quantile(&times.through_us, 0.5) - quantile(&times.here_us, 0.5);
+    report.less("way_p50_over_raw_hops", &case, "1", &[way_us / raw.p50_us]);
     Ok(())
 }
 
@@ -240,7 +235,7 @@ fn ask(config: &Config, rounds: usize, launcher: &Launcher) -> anyhow::Result<(T
 fn ticks(report: &mut Report, options: &BenchOptions, robots: usize) -> anyhow::Result<()> {
     let fleet = Fleet::new(robots, TICK_HZ)?;
     let (asks, answered) = (AtomicBool::new(false), AtomicU64::new(0));
-    let length = Duration::from_secs(options.seconds_or(60));
+    let length = Duration::from_secs(options.paced_s(60));
     let mut us = [Vec::new(), Vec::new()];
     fleet.run(robots, TICK_HZ, |turn, stop| {
         std::thread::scope(|scope| {
@@ -270,27 +265,16 @@ fn ticks(report: &mut Report, options: &BenchOptions, robots: usize) -> anyhow::
     })?;
     let case = format!("{robots} robots");
     let [without, with] = &us;
-    report.push(Figure::less, "tick_without_questions_us", &case, "µs", without);
-    report.push(Figure::less, "tick_with_questions_us", &case, "µs", with);
-    if let (Some(without), Some(with)) = (Distribution::new(without), Distribution::new(with)) {
-        report.push(
-            Figure::less,
-            "tick_p999_with_over_without",
-            &case,
-            "1",
-            &[with.p999 / without.p999],
-        );
-        report.push(
-            Figure::less,
-            "tick_p50_with_over_without",
-            &case,
-            "1",
-            &[with.p50 / without.p50],
-        );
+    report.less("tick_without_questions_us", &case, "µs", without);
+    report.less("tick_with_questions_us", &case, "µs", with);
+    for (name, share) in
+        [("tick_p999_with_over_without", 0.999), ("tick_p50_with_over_without", 0.5)]
+    {
+        report.less(name, &case, "1", &[quantile(with, share) / quantile(without, share)]);
     }
     let asked_s = length.as_secs_f64() / 2.0;
     let rate_hz = answered.load(Ordering::Relaxed) as f64 / asked_s;
-    report.push(Figure::more, "questions_hz", &case, "1/s", &[rate_hz]);
+    report.more("questions_hz", &case, "1/s", &[rate_hz]);
     Ok(())
 }
 

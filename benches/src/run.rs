@@ -6,7 +6,7 @@ use std::process::ExitCode;
 
 use crate::arguments::{BenchArguments, BenchOptions, Benchmark};
 use anyhow::Context as _;
-use clap::Parser;
+use clap::{Parser, ValueEnum as _};
 use joulebus_program::exit::{self, Outcome};
 use joulebus_program::output::{Output, log_line};
 use joulebus_program::verb;
@@ -53,34 +53,28 @@ fn run(arguments: &BenchArguments, output: Output) -> anyhow::Result<Outcome> {
 }
 
 fn measure(benchmark: Benchmark, options: &BenchOptions) -> anyhow::Result<Vec<Report>> {
-    Ok(match benchmark {
-        Benchmark::Kernel => vec![kernel::measure(options)?],
-        Benchmark::Tick => vec![tick::measure(options)?],
-        Benchmark::Rollout => vec![rollout::measure(options)?],
-        Benchmark::Plan => vec![plan::measure(options)?],
-        Benchmark::Questions => vec![questions::measure(options, &Launcher::this(&[ROLE])?)?],
-        Benchmark::Latency => vec![latency::measure(options, &Launcher::this(&[ROLE])?)?],
+    let launcher = Launcher::this(&[ROLE])?;
+    let report = match benchmark {
+        Benchmark::Kernel => kernel::measure(options)?,
+        Benchmark::Tick => tick::measure(options)?,
+        Benchmark::Rollout => rollout::measure(options)?,
+        Benchmark::Plan => plan::measure(options)?,
+        Benchmark::Questions => questions::measure(options, &launcher)?,
+        Benchmark::Latency => latency::measure(options, &launcher)?,
         Benchmark::All => {
-            let each = [
-                Benchmark::Kernel,
-                Benchmark::Tick,
-                Benchmark::Rollout,
-                Benchmark::Plan,
-                Benchmark::Questions,
-                Benchmark::Latency,
-            ];
-            let reports = each.map(|benchmark| measure(benchmark, options));
-            let reports: anyhow::Result<Vec<_>> = reports.into_iter().collect();
-            reports?.concat()
+            let each = Benchmark::value_variants().iter().filter(|each| **each != Benchmark::All);
+            let reports = each.map(|each| measure(*each, options));
+            let reports: anyhow::Result<Vec<_>> = reports.collect();
+            return Ok(reports?.into_iter().flatten().collect());
         }
-    })
+    };
+    Ok(vec![report])
 }
 
 fn write(path: &Path, suite: &Suite) -> anyhow::Result<()> {
-    let shown = path.display();
     let json = serde_json::to_string_pretty(suite)? + "\n";
     path.parent()
         .map_or(Ok(()), fs::create_dir_all)
-        .with_context(|| format!("cannot write {shown}"))?;
+        .with_context(|| format!("cannot write {}", path.display()))?;
     joulebus_program::file::write(path, json.as_bytes())
 }

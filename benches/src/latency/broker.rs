@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use anyhow::{Context as _, anyhow};
 use hdrhistogram::Histogram;
-use joulebus_bus::{Bus, Scheduling, clock};
+use joulebus_bus::{Bus, clock};
 use joulebus_config::{Config, Demo};
 use joulebus_latency::Spread;
 use joulebus_predictor_worker::Worker;
@@ -71,13 +71,8 @@ impl Broker {
     ///
     /// # Errors
     /// A process could not be started, or the fleet could not be joined.
-    pub fn open(
-        launcher: &Launcher,
-        robots: usize,
-        period_ns: u64,
-        scheduling: &Scheduling,
-    ) -> anyhow::Result<Self> {
-        let path = config_file(robots, scheduling)?;
+    pub fn open(launcher: &Launcher, robots: usize, period_ns: u64) -> anyhow::Result<Self> {
+        let path = config_file(robots)?;
         let config = Config::load(&path)?;
         let name = path.display().to_string();
         let worker = launcher.start(&["worker".into(), name.clone()])?;
@@ -124,7 +119,7 @@ impl Broker {
 }
 
 /// A private fleet with the demo's config, at a tick rate above the source's.
-fn config_file(robots: usize, scheduling: &Scheduling) -> anyhow::Result<PathBuf> {
+fn config_file(robots: usize) -> anyhow::Result<PathBuf> {
     let demo = Demo {
         fleet: "bench".into(),
         root: format!("/dev/shm/joulebus-bench-{}", std::process::id()).into(),
@@ -133,25 +128,8 @@ fn config_file(robots: usize, scheduling: &Scheduling) -> anyhow::Result<PathBuf
     };
     let path =
         std::env::temp_dir().join(format!("joulebus-bench-{}-{robots}.toml", std::process::id()));
-    std::fs::write(&path, with_scheduling(demo.toml(), scheduling))?;
+    std::fs::write(&path, demo.toml())?;
     Ok(path)
-}
-
-/// Adds the worker's scheduling options, which must be granted.
-fn with_scheduling(toml: String, scheduling: &Scheduling) -> String {
-    if scheduling.is_nothing() {
-        return toml;
-    }
-    let cpus: Vec<String> = scheduling.cpus.iter().map(ToString::to_string).collect();
-    let memory = if scheduling.lock_memory { "locked" } else { "unlocked" };
-    [
-        ("cpus = \"\"", format!("cpus = \"{}\"", cpus.join(","))),
-        ("priority = 0", format!("priority = {}", scheduling.priority)),
-        ("memory = \"unlocked\"", format!("memory = {memory:?}")),
-        ("if_refused = \"warn\"", "if_refused = \"stop\"".to_owned()),
-    ]
-    .into_iter()
-    .fold(toml, |toml, (from, to)| toml.replacen(&format!("\n{from}"), &format!("\n{to}"), 1))
 }
 
 /// The worker's process.

@@ -3,23 +3,17 @@
 use joulebus_latency::Spread;
 
 use super::Row;
-use crate::figure::robots;
-use crate::{Distribution, Figure, Report};
+use crate::Report;
+use crate::report::robots;
 
 /// Figures with names and cases, for text, JSON and comparison.
 pub(super) fn report(input: &str, rows: &[Row]) -> Report {
     let mut report = Report::new("latency").with_input("input", input);
     for (name, of) in TIMES {
-        let figures = rows.iter().filter_map(|row| {
-            let spread = distribution(of(row))?;
-            Some(Figure::less(name, &robots(row.robots), "µs", spread))
-        });
-        report.figures.extend(figures);
+        rows.iter().for_each(|row| report.times(name, &robots(row.robots), of(row)));
     }
     for (name, unit, of) in ONCE {
-        for row in rows {
-            report.push(Figure::less, name, &robots(row.robots), unit, &[of(row)]);
-        }
+        rows.iter().for_each(|row| report.less(name, &robots(row.robots), unit, &[of(row)]));
     }
     report
 }
@@ -45,17 +39,3 @@ const ONCE: [Once; 5] = [
     ("missed_frames", "frames", |row| row.broker.missed as f64),
     ("passed_over_frames", "frames", |row| row.passed_over as f64),
 ];
-
-/// The distribution, µs. `None` if nothing was measured.
-pub fn distribution(spread: &Spread) -> Option<Distribution> {
-    (spread.count > 0).then_some(Distribution {
-        count: spread.count,
-        min: spread.min_us,
-        p25: spread.p25_us,
-        p50: spread.p50_us,
-        p75: spread.p75_us,
-        p99: spread.p99_us,
-        p999: spread.p999_us,
-        max: spread.max_us,
-    })
-}

@@ -4,7 +4,6 @@ use std::hint::black_box;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use crate::arguments::TickFleet;
 use anyhow::Context as _;
 use joulebus_bus::{Scheduling, clock};
 use joulebus_config::{Config, Demo};
@@ -12,11 +11,13 @@ use joulebus_fleet::{Batch, Fleet, OutputRows, SecondaryOutputs};
 use joulebus_predictor::{Features, Model, Network};
 use joulebus_predictor_worker::TickPool;
 use joulebus_publisher::Pace;
-use joulebus_settings::{FleetSettings, Platform};
+use joulebus_settings::FleetSettings;
 
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+
+use super::world::World;
+use crate::input;
 use crate::machine::anonymous_bytes;
-use crate::world::World;
-use crate::{input, threads};
 
 /// Durations of the parts of one round, ns.
 #[derive(Debug, Clone, Copy, Default)]
@@ -46,9 +47,6 @@ impl Round {
     }
 }
 
-/// Platforms of a mixed fleet.
-const PLATFORMS: u32 = 3;
-
 /// Result of a paced run.
 pub(super) struct Paced {
     pub(super) tick_us: Vec<f64>,
@@ -73,14 +71,14 @@ impl Bench {
     /// A fleet of `robots` robots, ticked by `threads` threads.
     pub(super) fn new(
         network: &Network,
-        (kind, robots): (TickFleet, usize),
+        robots: usize,
         threads: usize,
-        seed: u64,
+        learning: bool,
     ) -> anyhow::Result<Self> {
-        let settings = settings(kind, robots)?;
-        let models = vec![Model::Network(network.clone()); settings.platforms.len()];
-        let rows = input::rows(network, seed, robots);
-        let world = World::new(kind, &settings, robots);
+        let settings = settings(robots, learning)?;
+        let models = vec![Model::Network(network.clone())];
+        let rows = input::rows(network, input::SEED, robots);
+        let world = World::new(&settings.platforms[0], robots);
         let forecasts_w = vec![0.0; robots];
         let before_bytes = anonymous_bytes();
         Ok(Self {
@@ -224,14 +222,17 @@ impl Bench {
 fn pool(threads: usize) -> anyhow::Result<TickPool> {
     let mut scheduling = Scheduling::default();
     if threads > 1 {
-        scheduling.cpus = threads::processors();
-        scheduling.cpus.first().copied().map(threads::pin);
+        let allowed = sched_getaffinity(None)?;
+        scheduling.cpus = (0..CpuSet::MAX_CPU).filter(|cpu| allowed.is_set(*cpu)).collect();
+        let mut first = CpuSet::new();
+        scheduling.cpus.first().into_iter().for_each(|cpu| first.set(*cpu));
+        sched_setaffinity(None, &first)?;
     }
     Ok(TickPool::new(threads, 1, &scheduling)?)
 }
 
 /// Settings of the demo: GTernal robots with a battery.
-pub(super) fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSettings> {
+pub(super) fn settings(robots: usize, learning: bool) -> anyhow::Result<FleetSettings> {
     let demo = Demo {
         fleet: "bench".to_owned(),
         root: "/dev/shm/joulebus-bench".into(),
@@ -240,22 +241,6 @@ pub(super) fn settings(kind: TickFleet, robots: usize) -> anyhow::Result<FleetSe
     };
     let config = Config::parse(&demo.toml(), Path::new("/"))?;
     let mut settings = config.settings().clone();
-    if kind == TickFleet::Mixed {
-        settings.platforms = split(&settings.platforms[0], demo.robots);
-    }
-    for platform in &mut settings.platforms {
-        platform.online = kind == TickFleet::Learning;
-    }
+    settings.platforms[0].online = learning;
     Ok(settings)
-}
-
-/// Three platforms like `one`, with a third of the robots each.
-fn split(one: &Platform, robots: u32) -> Vec<Platform> {
-    let each = robots.div_ceil(PLATFORMS);
-    let third = |place| Platform {
-        name: format!("{}-{place}", one.name),
-        robots: vec![place * each..=place * each + each - 1],
-        ..one.clone()
-    };
-    (0..PLATFORMS).map(third).collect()
 }

@@ -43,8 +43,7 @@ fn a_quick_measurement_gives_finite_figures_with_machine_and_build() {
 fn the_tick_and_rollouts_are_measured_too() {
     for (benchmark, name) in [("tick", "tick_over_kernel"), ("rollout", "ns_per_step")] {
         let measured =
-            output(format!("{benchmark} --quick --robots 10 --threads 1 --format json").split(' '))
-                .exits(0);
+            output(format!("{benchmark} --quick --robots 10 --format json").split(' ')).exits(0);
         let suite = measured.json();
         let figures = figures(&suite);
         assert!(figures.iter().any(|figure| figure["name"] == name), "{figures:?}");
@@ -54,7 +53,7 @@ fn the_tick_and_rollouts_are_measured_too() {
 #[test]
 fn invalid_requests_are_refused_before_measuring() {
     for (more, exit, expected) in
-        [(vec!["--kernel", "abacus"], 1, "scalar"), (vec!["--robots", "0"], 2, "1 to 1000000")]
+        [(vec!["--kernel", "abacus"], 1, "scalar"), (vec!["--robots", "0"], 2, "1..=1000000")]
     {
         let arguments = ["kernel", "--quick"].into_iter().chain(more.iter().copied());
         let refused = output(arguments);

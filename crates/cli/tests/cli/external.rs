@@ -105,7 +105,7 @@ fn help_and_usage_errors_need_no_executable() {
     let installed = Installed::new();
     for (words, exit, expected) in [
         ("help serve", 0, "--token-file"),
-        ("bench --help", 0, "--worker-cpus"),
+        ("bench --help", 0, "--learning"),
         ("mission --help", 0, "--battery-wh"),
         ("help train trials", 0, "--hold-out"),
         ("publish --help", 0, "trial"),
@@ -117,6 +117,7 @@ fn help_and_usage_errors_need_no_executable() {
         ("cat run.mcap --topics x", 2, "cat went: `mcap cat FILE --json`"),
         ("serve --port 0 --foxglove", 2, "--port went: captures open in Foxglove"),
         ("serve --webhooks x", 2, "--webhooks went: `joulebus alarms --on-alarm`"),
+        ("bench latency --worker-cpus 1", 2, "--worker-cpus went: `taskset` and `chrt`"),
         ("bench wait", 2, "wait went: docs/decisions/shared-memory-processes.md"),
     ] {
         let ended = installed.joulebus("", words);
@@ -125,6 +126,6 @@ fn help_and_usage_errors_need_no_executable() {
         assert!(printed.contains(expected), "{words}: {printed}");
     }
     let script = output(["completions", "bash"]);
-    let parts = "--per-robot | --worker-cpus | --false-alarms";
+    let parts = "--per-robot | --learning | --false-alarms";
     assert_contains(&stdout(&script), parts.split(" | "));
 }

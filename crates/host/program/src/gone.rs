@@ -99,6 +99,17 @@ const GONE: &[(&str, &str, &str)] = &[
     ("model info", "--activation --part", STATED),
     ("bench", "--compare --fail-above", COMPARE),
     (
+        "bench",
+        "--repetitions --rate-hz --seed --model --threads",
+        "all runs have the same input, so that figures compare. --seconds and --robots shorten them",
+    ),
+    (
+        "bench",
+        "--worker-cpus --worker-priority --worker-locked",
+        "`taskset` and `chrt` before the command schedule its processes",
+    ),
+    ("bench", "--fleet", "--learning measures the tick of forecasts that learn"),
+    (
         "KIND",
         "npy",
         "--out FILE.npz writes the same arrays into one archive, which numpy.load reads",

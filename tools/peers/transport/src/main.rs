@@ -19,9 +19,9 @@ use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
 use clap::{Parser, Subcommand};
-use joulebus_bench::latency::{self, Launcher, WARM_UP, broker, distribution, raw};
-use joulebus_bench::{Figure, Report, Suite};
-use joulebus_bus::{Scheduling, clock};
+use joulebus_bench::latency::{self, Launcher, WARM_UP, broker, raw};
+use joulebus_bench::{Report, Suite};
+use joulebus_bus::clock;
 use joulebus_publisher::Pace;
 
 use crate::frame::{forecast_bytes, sample_bytes};
@@ -159,7 +159,7 @@ fn pace(
     report: &mut Report,
 ) -> anyhow::Result<()> {
     let period_ns = 1_000_000_000 / arguments.rate_hz;
-    let broker = broker::Broker::open(launcher, robots, period_ns, &Scheduling::default())?;
+    let broker = broker::Broker::open(launcher, robots, period_ns)?;
     let joulebus = Joulebus { way: broker, frames: 0 };
     let mut ways: Vec<(&str, Box<dyn Way>)> = vec![("joulebus_us", Box::new(joulebus))];
     for (name, open) in others() {
@@ -172,9 +172,7 @@ fn pace(
         }
     }
     for (name, way) in ways {
-        let spread = distribution(&way.finish()?);
-        let figure = |spread| Figure::less(name, &case(robots), "µs", spread);
-        report.figures.extend(spread.map(figure));
+        report.times(name, &case(robots), &way.finish()?);
     }
     Ok(())
 }
@@ -199,7 +197,7 @@ fn flood(
         let rate = f64::from(answered) / begin.elapsed().as_secs_f64();
         way.finish()?;
         let name = name.replace("_us", "_frames_per_s");
-        report.push(Figure::more, &name, &case(robots), "frames/s", &[rate]);
+        report.more(&name, &case(robots), "frames/s", &[rate]);
     }
     Ok(())
 }

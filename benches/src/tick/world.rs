@@ -1,7 +1,6 @@
 //! Input of a fleet: the samples of all robots, tick by tick.
 
-use crate::arguments::TickFleet;
-use joulebus_settings::{FleetSettings, Platform};
+use joulebus_settings::Platform;
 use joulebus_wire::{SCHEMA_VERSION, Sample, SampleHeader, sample_flag};
 
 /// Steps after which commands and powers repeat.
@@ -14,21 +13,14 @@ pub(crate) struct World {
     samples: Vec<Sample>,
     period_ns: u64,
     step: u64,
-    /// One sample in n has no reading.
-    missing_every: Option<u64>,
     command: Vec<(f32, f32)>,
     power_w: Vec<f32>,
 }
 
 impl World {
-    /// The first `robots` robots of the platforms, alternating between platforms.
-    pub(crate) fn new(kind: TickFleet, settings: &FleetSettings, robots: usize) -> Self {
-        let platforms = &settings.platforms;
-        let each = robots.div_ceil(platforms.len());
-        let ids = (0..each).flat_map(|place| {
-            let id = move |platform: &Platform| platform.robots[0].start() + place as u32;
-            platforms.iter().map(id)
-        });
+    /// The first `robots` robots of a platform.
+    pub(crate) fn new(platform: &Platform, robots: usize) -> Self {
+        let first = *platform.robots[0].start();
         let wave = |step: usize, times: f32| {
             let turn = std::f32::consts::TAU * step as f32 / CYCLE as f32;
             (turn * times).sin()
@@ -42,10 +34,9 @@ impl World {
                 source_epoch: 1,
                 ..SampleHeader::default()
             },
-            samples: ids.take(robots).map(|id| Sample::new(id, 0, 0)).collect(),
-            period_ns: platforms[0].period_ns,
+            samples: (0..robots).map(|place| Sample::new(first + place as u32, 0, 0)).collect(),
+            period_ns: platform.period_ns,
             step: 0,
-            missing_every: (kind == TickFleet::MissingReadings).then_some(10),
             command: (0..CYCLE).map(command).collect(),
             power_w: (0..CYCLE).map(|step| 3.65 + 0.3 * wave(step, 7.0)).collect(),
         };
@@ -84,13 +75,9 @@ impl World {
             let at = |step: u64| (step as usize + robot * 37) % CYCLE;
             let (v_mps, omega_radps) = self.command[at(self.step)];
             let power_w = self.power_w[at(self.step + 2 - since)];
-            *sample = Sample::new(sample.robot, self.step, stamp_ns).command(v_mps, omega_radps);
-            // A stride without a common factor: other robots each time.
-            let draw = (robot as u64).wrapping_add(self.step * 7);
-            if self.missing_every.is_some_and(|every| draw.is_multiple_of(every)) {
-                continue;
-            }
-            *sample = sample.reading(power_w, stamp_ns - since * self.period_ns);
+            *sample = Sample::new(sample.robot, self.step, stamp_ns)
+                .command(v_mps, omega_radps)
+                .reading(power_w, stamp_ns - since * self.period_ns);
             if since > 0 {
                 *sample = sample.with(sample_flag::HELD);
             }
