@@ -119,7 +119,10 @@ make_image() {
     for program in "${programs[@]}"; do
         cp "$from/$program" "$work/image/programs/" && strip "$work/image/programs/$program"
     done
-    python3 tools/release/oci_image.py --programs "$work/image/programs" --version "$version" --out "$image"
+    tools/release/image.sh "$work/image/programs" "$version" "$image" "$work/image" || {
+        [ $? = 69 ] || return 1
+        skip 'skopeo and umoci cannot be installed: no image' && return
+    }
     tools/release/check_image.sh "$image" "$work/image"
 }
 
