@@ -1,33 +1,40 @@
 #!/usr/bin/env bash
-# Checks configs/grafana/joulebus.json without a Grafana: its form by Grafana's own types
-# (@grafana/schema), which also know the options of each kind of panel; its queries by Prometheus'
-# parser; its layout. That the metrics exist, tools/browser.sh checks against a live server.
+# Checks configs/grafana/joulebus.json without a Grafana: its queries by Prometheus' parser, that each is of the data source
+# and of variables that are declared, and that no panel lies over another. That the metrics exist, tools/browser.sh checks
+# against a live server.
 #
 #     tools/grafana.sh
 #
-# Without node 20, npm's registry or promtool it prints what it skips; with CI=true that is a
-# failure.
+# Without promtool it prints what it skips; with CI=true that is a failure.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=$(realpath -m "${CARGO_TARGET_DIR:-target}")/tools/grafana
-
-skip() {
-    echo "SKIPPED: tools/grafana.sh: $1" >&2
-    [ "${CI:-}" != true ]
-    exit
-}
-
-command -v npm >/dev/null || skip "npm is not installed"
-[ "$(node -p 'process.versions.node.split(".")[0]')" -ge 20 ] || skip "node $(node --version) is older than 20"
 mkdir -p "$folder"
-cp tools/grafana/* "$folder/"
-if ! cmp -s "$folder/package.json" "$folder/node_modules/.installed"; then
-    # Exact versions, which depend on nothing but typescript's programs for each processor.
-    npm install --prefix "$folder" --no-package-lock --silent --no-audit --no-fund || skip "@grafana/schema and typescript were not installed"
-    cp "$folder/package.json" "$folder/node_modules/.installed"
-fi
-node "$folder/write.mjs" configs/grafana/joulebus.json "$folder"
-"$folder/node_modules/.bin/tsc" --project "$folder"
-echo "configs/grafana/joulebus.json: as @grafana/schema $(node -p "require('$folder/node_modules/@grafana/schema/package.json').version") has it"
-command -v promtool >/dev/null || skip "promtool is not installed (tools/prometheus.sh): the queries are not parsed"
+python3 - configs/grafana/joulebus.json "$folder/rules.yml" <<'PYTHON'
+import json
+import re
+import sys
+
+VALUES = {"$__range": "1h", "$__rate_interval": "1m", "$fleet": "lab|hall", "$robot": "1|2"}
+board = json.load(open(sys.argv[1]))
+panels, names = board["panels"], {f"${one['name']}" for one in board["templating"]["list"]}
+assert len({panel["id"] for panel in panels}) == len(panels), "two panels have one id"
+taken, rules = {}, []
+for panel in panels:
+    place, title = panel["gridPos"], panel["title"]
+    for column in range(place["x"], place["x"] + place["w"]):
+        assert column < 24, f"{title} is wider than the page"
+        for row in range(place["y"], place["y"] + place["h"]):
+            over = taken.setdefault((column, row), title)
+            assert over == title, f"{title} lies over {over}"
+    for query in panel.get("targets", []):
+        assert query.get("datasource", panel.get("datasource"))["uid"] == "${datasource}", f"{title} has a data source of its own"
+        for variable in re.findall(r"\$\w+", query["expr"]):
+            assert variable in VALUES and (variable.startswith("$__") or variable in names), f"{title}: no variable {variable}"
+        replaced = re.sub(r"\$\w+", lambda found: VALUES[found[0]], query["expr"])
+        rules.append(f"  - record: query:{len(rules)}\n    expr: {json.dumps(replaced)}\n")
+open(sys.argv[2], "w").write("groups:\n- name: dashboard\n  rules:\n" + "".join(rules))
+print(f"{sys.argv[1]}: {len(panels)} panels, {len(rules)} queries")
+PYTHON
+command -v promtool >/dev/null || { echo 'SKIPPED: tools/grafana.sh: promtool is not installed (tools/prometheus.sh): the queries are not parsed' >&2; [ "${CI:-}" != true ]; exit; }
 promtool check rules --lint=none "$folder/rules.yml"
