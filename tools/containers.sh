@@ -2,9 +2,7 @@
 # Lints configs/container: the Containerfile by dockerfile-utils (npm), compose.yaml by
 # podman-compose (PyPI), and that the verbs and options of its commands exist, those of the launch
 # file of ROS 2 and of the units of systemd, too, and that Grafana's
-# provisioning fits it. Worker, controller, page and Prometheus are then started as the file says,
-# without containers, and the page's metrics looked for in Prometheus. Grafana itself is not to be
-# had from a registry of packages. With podman or docker it also builds the image and runs it.
+# provisioning fits it. With podman or docker it also builds the image and runs it.
 #
 #     tools/containers.sh
 #
@@ -47,16 +45,10 @@ if [ -x "$tools/python/bin/podman-compose" ] || { python3 -m venv "$tools/python
     [ -n "$joulebus" ] || fail "no joulebus was built: cargo build"
     "$tools/python/bin/python" - "$tools/compose.yaml" "$joulebus" "$file" << 'PYTHON' || fail "$compose does not fit the programs"
 import json
-import os
 import pathlib
 import re
-import shutil
-import socket
 import subprocess
 import sys
-import tempfile
-import time
-import urllib.request
 import xml.etree.ElementTree
 
 import yaml
@@ -130,54 +122,6 @@ assert of("datasources")["datasources"][0]["url"] == "http://" + listens.split("
 home = services["grafana"]["environment"]["GF_DASHBOARDS_DEFAULT_HOME_DASHBOARD_PATH"]
 assert home in mounts and home.startswith(of("dashboards")["providers"][0]["options"]["path"] + "/"), home
 print("configs/grafana/provisioning: fits the services")
-
-# The processes, as the file says, in a folder of their own.
-prometheus = shutil.which("prometheus")
-serve = pathlib.Path(joulebus).with_name("joulebus-serve")
-if not prometheus or not serve.exists():
-    print(f"SKIPPED: tools/containers.sh: no prometheus (tools/prometheus.sh) or no {serve}: nothing was started", file=sys.stderr)
-    sys.exit(1 if os.environ.get("CI") == "true" else 0)
-with tempfile.TemporaryDirectory() as folder:
-    folder, running = pathlib.Path(folder), []
-    text = open("configs/fleet.toml").read().replace('name = "lab"', f'name = "compose-{os.getpid()}"')
-    text = text.replace('"/dev/shm/joulebus-{uid}"', f'"/dev/shm/joulebus-compose-{os.getpid()}"')
-    shutil.copytree("configs/platforms", folder / "platforms")
-    (folder / "fleet.toml").write_text(text)
-    def port():
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            return free.getsockname()[1]
-    page, scraper = port(), port()
-    config = open("configs/prometheus/prometheus.yml").read().replace("8630", str(page)).replace("joulebus.rules.yml", os.path.abspath("configs/prometheus/joulebus.rules.yml"))
-    (folder / "prometheus.yml").write_text(config.replace("scrape_interval: 5s", "scrape_interval: 1s"))
-    places = {"/etc/joulebus/": f"{folder}/", "/run/joulebus/": f"{folder}/", "127.0.0.1:8630": f"127.0.0.1:{page}",
-              "127.0.0.1:9090": f"127.0.0.1:{scraper}", "/etc/prometheus/": f"{folder}/"}
-    def start(name, program):
-        words = services[name]["command"]
-        for here, there in places.items():
-            words = [word.replace(here, there) for word in words]
-        log = open(folder / f"{name}.log", "w")
-        running.append((name, subprocess.Popen([program, *words], stdout=log, stderr=log, cwd=folder, env={**os.environ, "STATE_DIRECTORY": str(folder)})))
-    try:
-        for name in ("worker", "controller", "page"):
-            start(name, joulebus)
-        start("prometheus", prometheus)
-        ask = f"http://127.0.0.1:{scraper}/api/v1/query?query=sum(joulebus_robots)"
-        until, found = time.monotonic() + 120, []
-        while not found and time.monotonic() < until:
-            time.sleep(0.5)
-            ended = [name for name, process in running if name != "controller" and process.poll() is not None]
-            assert not ended, "\n".join((folder / f"{name}.log").read_text() for name in ended)
-            try:
-                found = [row for row in json.load(urllib.request.urlopen(ask))["data"]["result"] if float(row["value"][1]) >= 20]
-            except OSError:
-                pass
-        assert found, "Prometheus has no robots of the page"
-        print(f"worker, controller, page, prometheus: {found[0]['value'][1]} robots in Prometheus")
-    finally:
-        for _, process in reversed(running):
-            process.terminate()
-            process.wait()
 PYTHON
 else
     skip "podman-compose cannot be installed from PyPI: $compose is not linted"

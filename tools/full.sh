@@ -29,7 +29,6 @@ step() { # name, what it needs, command
 step deny - 'tools/deny.sh'
 step advisories rustsec 'tools/deny.sh advisories'
 step actionlint - 'tools/actionlint.sh'
-step gelu - 'python3 tools/fit_gelu.py'
 step gate - 'JOULEBUS_AGAIN=1 .ci/run'
 step beside-iceoryx2 - 'cargo build --quiet --locked -p joulebus; tests/beside_iceoryx2/run.sh'
 # mdBook compiles once, some minutes.
@@ -37,8 +36,6 @@ step book - 'tools/book.sh'
 step page - 'tools/browser.sh; tools/prometheus.sh; tools/grafana.sh'
 step blocks - 'tools/prometheus.sh; tools/mosquitto.sh; export JOULEBUS_PYTHON=$(tools/python.sh --locked)
     tools/python_package.sh --workspace -k test_demo; tools/blocks.py'
-step walk-csv - 'tools/walks/csv.sh'
-step walk-morning - 'tools/walks/morning.sh'
 step containers - 'cargo build --quiet --locked --workspace --lib --bins --examples; tools/containers.sh'
 step c - tools/c_api.sh
 step wheel - 'tools/python_package.sh'
@@ -56,11 +53,8 @@ step aarch64-all cross 'export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gc
 step model-parity - 'python3 tools/model_parity.py'
 # Figures of --quick are none for a document.
 step measure - 'tools/figures.sh --quick'
-step page-load - 'cargo build --release --locked -p joulebus -p joulebus-serve -p joulebus-link
-    python3 tools/page_load.py --browsers 10 --seconds 5 --rounds 1; python3 tools/page_load.py --links 2 --seconds 5 --rounds 1'
 step recorded-models recordings 'python3 tools/recorded_models.py'
 step benchmark recordings 'python3 tools/benchmark.py'
-step energy-tables recordings 'python3 tools/energy_tables.py'
 step pictures pictures 'tools/pictures.sh'
 step attack - 'python3 tools/attack.py --minutes 5 --seed 7'
 step system-calls strace 'python3 tools/system_calls.py --minutes 5 --seed 7'

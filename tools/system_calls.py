@@ -2,17 +2,15 @@
 """Lets system calls fail beneath a fleet's processes, and looks whether they end well.
 
     tools/system_calls.py --minutes 5 --seed 7
-    tools/system_calls.py --only docker          # with the calls and capabilities of a container
 
 Each round makes a fleet of its own: worker, source, recorder and live view. strace lets one of
 them start or work with calls that fail: once, from some call on for a while, or every few calls.
 What must hold: nobody ends by a signal or a panic, an exit code is one of the documented ones
 (0 to 3) and not 0 without a result, a signal to end is obeyed, EINTR ends nobody, and afterwards a
-new fleet of the same name works and leaves nothing behind. The round `docker` gives each process
-what Docker leaves a container (`tools/docker_calls.py`): all must work as usual.
+new fleet of the same name works and leaves nothing behind.
 
 A round that fails is printed with the seed that repeats it. Ends with 1 if one failed. Needs
-`strace`: without it, or where it may not trace, it says that it skips, and runs `docker` alone.
+`strace`: without it, or where it may not trace, it says that it skips.
 """
 
 import argparse
@@ -61,8 +59,8 @@ class Fleet:
     def start(self, role, injected=()):
         words = {"worker": ["run"], "source": ["publish", "sim", "--robots", "3"], "view": ["watch", "--format", "json"],
                  "recorder": ["record", "-o", f"{self.folder}/capture.mcap"]}[role]
-        traced = list(injected)
-        if "-e" in injected:
+        traced = []
+        if injected:
             traced = ["strace", "-f", "-qq", "-o", f"{self.folder}/{role}.trace", "-e", "signal=none", *injected]
         with open(self.output(role), "w", encoding="utf-8") as out:
             self.running[role] = subprocess.Popen(
@@ -109,10 +107,8 @@ class Fleet:
         return [name for name in os.listdir("/dev/shm") if name.startswith(self.name)]
 
 
-def injection(dice, role, only):
-    """What fails in a round: arguments of strace, or another program, and whether all must go on as usual."""
-    if only == "docker":
-        return [sys.executable, os.path.join(ROOT, "tools/docker_calls.py")], True
+def injection(dice):
+    """What fails in a round: arguments of strace, and whether all must go on as usual."""
     interrupts = dice.random() < 0.4
     call = dice.choice(INTERRUPTED if interrupts else sorted(FAILING))
     error = "EINTR" if interrupts else dice.choice(FAILING[call])
@@ -121,20 +117,19 @@ def injection(dice, role, only):
     return ["-e", f"inject=?{call}:error={error}:when={when}"], interrupts
 
 
-def attempt(program, seed, only):
+def attempt(program, seed):
     """One round: what was injected, and what was wrong."""
     dice = random.Random(seed)
     wrong = []
     role = dice.choice(ROLES)
-    injected, as_usual = injection(dice, role, only)
-    roles = ROLES if only == "docker" else (role,)
+    injected, as_usual = injection(dice)
     with tempfile.TemporaryDirectory(prefix="joulebus-calls-") as folder:
         fleet = Fleet(program, folder)
         for each in ROLES:
-            fleet.start(each, injected if each in roles else ())
+            fleet.start(each, injected if each == role else ())
         others_work = role in ("worker", "view") or fleet.sees_robots()
         if as_usual and not fleet.sees_robots():
-            wrong.append("no forecasts, although nothing but interruptions or forbidden calls came")
+            wrong.append("no forecasts, although nothing but interruptions came")
         if not others_work and role != "source":
             wrong.append(f"nothing is forecast because of the {role}")
         time.sleep(1 + dice.random())
@@ -165,8 +160,8 @@ def attempt(program, seed, only):
             for name in fleet.left_behind():
                 path = f"/dev/shm/{name}"
                 shutil.rmtree(path, ignore_errors=True) if os.path.isdir(path) else os.remove(path)
-    what = "docker" if only == "docker" else f"{role}: {injected[-1].removeprefix('inject=?')}"
-    ends = [texts[each][-600:] for each in roles] if wrong else []
+    what = f"{role}: {injected[-1].removeprefix('inject=?')}"
+    ends = [texts[role][-600:]] if wrong else []
     return what, wrong, ends
 
 
@@ -174,28 +169,24 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--minutes", type=float, default=5.0, help="how long rounds begin [5]")
     parser.add_argument("--seed", type=int, default=1, help="of the first round [1]")
-    parser.add_argument("--only", choices=("docker", "errors"), help="these rounds [both]")
     parser.add_argument("--program", help="the program [target/debug/joulebus, which is built]")
     parser.add_argument("--report", default="target/system_calls.json", help="the report's file [target/system_calls.json]")
     given = parser.parse_args()
     tracing = shutil.which("strace") and subprocess.run(
         ["strace", "-qq", "-o", "/dev/null", "-e", "inject=?acct:error=EPERM", "true"], check=False, capture_output=True)
-    if given.only != "docker" and (not tracing or tracing.returncode != 0):
+    if not tracing or tracing.returncode != 0:
         print("skipped: strace is missing, or may not trace here", file=sys.stderr)
-        if given.only == "errors":
-            return 0
-        given.only, given.minutes = "docker", 0.001
+        return 0
     if not given.program:
         subprocess.run(["cargo", "build", "--locked", "-q", "-p", "joulebus"], cwd=ROOT, check=True)
     program = os.path.abspath(given.program or os.path.join(ROOT, "target/debug/joulebus"))
     rounds, seed, until = [], given.seed, time.monotonic() + 60 * given.minutes
     while time.monotonic() < until:
-        only = given.only or ("docker" if seed == given.seed else "errors")
-        what, wrong, ends = attempt(program, seed, only)
+        what, wrong, ends = attempt(program, seed)
         rounds.append({"seed": seed, "what": what, "wrong": wrong, "ends": ends})
         print(f"seed {seed:<6} {what:60} {'ok' if not wrong else 'FAILED'}", flush=True)
         for line in wrong:
-            print(f"  {line}; again: tools/system_calls.py --minutes 0.01 --only {only} --seed {seed}", flush=True)
+            print(f"  {line}; again: tools/system_calls.py --minutes 0.01 --seed {seed}", flush=True)
         with open(os.path.join(ROOT, given.report), "w", encoding="utf-8") as out:
             json.dump(rounds, out, indent=1)
         seed += 1

@@ -7,8 +7,7 @@
 #     background worker joulebus run --config fleet.toml
 #     step 'the worker is ready' seen worker '^ready'
 #
-# `walk_builds` is for walks with the programs of a build, and `typed` for a step that is a command
-# as a user types it. A step that fails ends the walk with 1 and its output. A wait has ten minutes. Only `step_within`
+# A step that fails ends the walk with 1 and its output. A wait has ten minutes. Only `step_within`
 # judges a time, one of a processor.
 set -euo pipefail
 repository=$(realpath "$(dirname "${BASH_SOURCE[0]}")/../..")
@@ -38,15 +37,6 @@ walk_begins() { # name
     unset XDG_CONFIG_HOME XDG_DATA_HOME PYTHONPATH RUSTFLAGS
     cd "$home"
     echo "== $walk, with what $dist holds, in an empty home"
-}
-
-# The same with programs that are built first, or with those of target/release or of a folder.
-walk_builds() { # name, packages, [--built [FOLDER]]
-    dist=$(realpath -m "${4:-$repository/target/release}")
-    # shellcheck disable=SC2086
-    [ "${3:-}" = --built ] || (cd "$repository" && cargo build --release --locked --quiet $(printf ' -p %s' $2))
-    walk_begins "$1"
-    export PATH=$dist:$PATH
 }
 
 # Time that children which have ended had of a processor, ms, from what `times` wrote: on a busy
@@ -80,10 +70,6 @@ step() { # what, command…
     ms=$(($(date +%s%3N) - begun)) cpu=$(($(cpu_ms) - cpu))
     total_ms=$((total_ms + ms)) total_cpu_ms=$((total_cpu_ms + cpu))
     took "$ms" "$cpu" "$what"
-}
-
-typed() { # command…
-    step "$*" "$@"
 }
 
 background() { # name, command…

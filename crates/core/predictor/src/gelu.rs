@@ -6,8 +6,8 @@
 //! with f(x) − f(−x) in proportion to x, so none gives tanh.)
 //!
 //! The layers before and after carry scale factors, so that finding the segment and adding relu are
-//! additions, which do not compete with the multiply-adds. `tools/fit_gelu.py` computes the tables
-//! and documents them.
+//! additions, which do not compete with the multiply-adds. Remez' algorithm gave the tables: `git
+//! show 5759d979:tools/fit_gelu.py`.
 
 /// The activation of the hidden layers.
 ///
