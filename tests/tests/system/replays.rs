@@ -179,7 +179,7 @@ fn planners_can_be_developed_without_a_worker_and_from_the_middle() {
 
     let second = arena.files().join("second.mcap");
     let mut recorder = arena.recording(&second, &[]);
-    let span = ["--start-offset", "1.5", "--playback-duration", "1", "--delay", "0.5"];
+    let span = ["--start-offset", "1.5", "--playback-duration", "1"];
     let ended = alone(&[&["replay", name][..], &outputs, &span].concat());
     let report = ended.json();
     assert_eq!(ended.code(), Some(0), "{report:#} {}", ended.errors());

@@ -24,7 +24,7 @@ use joulebus_wire::{Budget, DiagnosticHeader, QueryRefusal};
 
 use crate::budgets::budgets;
 use crate::configs;
-use point::{PointArgument, ReturnTo};
+use point::ReturnTo;
 
 /// Timeout for a frame of the worker, or its answer.
 const WORKER_TIMEOUT: Duration = Duration::from_secs(3);
@@ -48,7 +48,7 @@ const MOMENTS: usize = 48;
     after_help = "Examples:\n  \
     joulebus ask --robot 7 --path p.csv                     energy, what is left, whether it suffices\n  \
     joulebus ask --robot 7 --path p.csv --return dock       and back to where the path begins\n  \
-    joulebus ask --robot 7 --path p.csv --return 1.5,-0.2 --format json\n  \
+    joulebus ask --robot 7 --path p.csv --return 1.5,-0.2   and to a dock at this point, m\n  \
     joulebus ask --rank 7,9,20-29 --path p.csv              the cheapest first, also of `all`\n  \
     joulebus ask --rank 7,50009 --idle 60 --config north.toml --config south.toml   of two fleets\n  \
     joulebus ask --robot 7 --idle 60                        a minute at rest\n  \
@@ -102,7 +102,7 @@ pub(crate) struct Args {
     /// Stand still for this time, s
     #[arg(long, value_name = "SECONDS")]
     idle: Option<f32>,
-    /// Then return: to the dock, or to a point, m
+    /// Then return: to where the path begins (dock), or to a point, m
     #[arg(
         long = "return",
         value_name = "dock|X,Y",
@@ -110,9 +110,6 @@ pub(crate) struct Args {
         allow_hyphen_values = true
     )]
     return_to: Option<ReturnTo>,
-    /// Where the dock of `--return dock` is, m [default: where the path begins]
-    #[arg(long, value_name = "X,Y", requires = "return_to", allow_hyphen_values = true)]
-    dock: Option<PointArgument>,
     /// Speed where the path file states none, m/s [default: the highest that the model was trained
     /// on]
     #[arg(long, value_name = "M/S", conflicts_with = "idle", value_parser = speed)]
@@ -147,10 +144,6 @@ enum Through {
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
-    if let (Some(ReturnTo::At(_)), Some(_)) = (args.return_to, args.dock) {
-        let wrong = "--dock is the place of `--return dock`, and --return names another: leave one of them out";
-        return Err(UsageError(wrong.to_owned()).into());
-    }
     let configs = configs::load(&args.config)?;
     let read = |file| path_file::read(file, args.speed);
     let read = args.path.as_deref().map(read).transpose()?;
@@ -297,8 +290,8 @@ impl Args {
             Some(path) => {
                 let begin = path.points[0];
                 let back_to = self.return_to.map(|to| match to {
-                    ReturnTo::Dock => self.dock.map_or(begin, |dock| dock.0),
-                    ReturnTo::At(point) => point.0,
+                    ReturnTo::Dock => begin,
+                    ReturnTo::At(point) => point,
                 });
                 Plan::Follow { robots, path, back_to }
             }

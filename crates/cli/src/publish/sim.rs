@@ -17,7 +17,6 @@ use joulebus_source::report::PublishReport;
 use joulebus_wire::{Sample, sample_flag};
 
 use super::fault::{self, FaultArgument};
-use joulebus_program::platform::platform;
 
 /// Publish a simulated fleet of GTernal robots until SIGINT, SIGTERM or SIGHUP, then report
 #[derive(Debug, clap::Args)]
@@ -47,10 +46,8 @@ pub(crate) struct Args {
     /// Inject a fault into a robot, optionally from a time on (may be repeated)
     #[arg(long = "fault", value_name = fault::HELP)]
     faults: Vec<FaultArgument>,
-    /// Platform of the config whose ids are used, lowest first [default: the first]
-    #[arg(long, value_name = "NAME")]
-    platform: Option<String>,
-    /// Id of the first robot, from which the others are numbered on [default: the platform's ids]
+    /// Id of the first robot, of any platform, from which the others are numbered on [default: the
+    /// ids of the config's first platform]
     #[arg(long, value_name = "ID")]
     first_robot: Option<u32>,
     /// Name of the source. A second source of the same name replaces the first [default: sim and
@@ -93,12 +90,13 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
 
 impl Args {
     fn platform<'a>(&self, config: &'a Config) -> Result<&'a Platform, UsageError> {
-        let settings = config.settings();
-        match (&self.platform, settings.platforms.first()) {
-            (Some(name), _) => platform(settings, name),
-            (None, Some(first)) => Ok(first),
-            (None, None) => Err(UsageError("the config has no platform".to_owned())),
-        }
+        let platforms = &config.settings().platforms;
+        let has = |platform: &&Platform| {
+            let mut ids = platform.robots.iter();
+            self.first_robot.is_some_and(|first| ids.any(|ids| ids.contains(&first)))
+        };
+        let platform = platforms.iter().find(has).or(platforms.first());
+        platform.ok_or_else(|| UsageError("the config has no platform".to_owned()))
     }
 
     /// Ids of the robots. As many as requested, at least one.

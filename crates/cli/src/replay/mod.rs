@@ -9,14 +9,13 @@ mod verify;
 
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::time::Duration;
 
 use joulebus_capture_format::MessageKind;
 use joulebus_capture_recorder::replay::PlayedChannel;
 use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 
-use joulebus_source::rate::{Passes, Rate, seconds};
+use joulebus_source::rate::{Passes, Rate};
 use joulebus_wire::Samples;
 
 /// Play a capture into shared memory, or recompute its forecasts and compare them bit by bit
@@ -60,9 +59,6 @@ pub(crate) struct Args {
     passes: Option<Passes>,
     #[command(flatten)]
     span: span::Span,
-    /// Wait before the first message, s
-    #[arg(short, long, value_name = "SECONDS", value_parser = seconds)]
-    delay: Option<Duration>,
     /// Start paused
     #[arg(short = 'p', long)]
     start_paused: bool,

@@ -39,7 +39,7 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         check_root(config.root())?;
     }
     let mut player = Player::open(args, &files, &config)?;
-    if player.begins(args, &stop)? {
+    if player.begins(&stop)? {
         player.play(args, &files, &stop)?;
     }
     let report = player.report(&files);
@@ -140,8 +140,8 @@ impl Player {
         })
     }
 
-    /// Waits for a worker and for the delay. False at a signal.
-    fn begins(&mut self, args: &Args, stop: &Stop) -> anyhow::Result<bool> {
+    /// Waits for a worker. False at a signal.
+    fn begins(&mut self, stop: &Stop) -> anyhow::Result<bool> {
         if let Err(error) = set_timer_slack() {
             tracing::warn!(%error, "frames may be sent 50 µs late");
         }
@@ -151,11 +151,8 @@ impl Player {
         {
             return Ok(false);
         }
-        let delay = args.delay.unwrap_or(Duration::ZERO);
-        let delay_ns = u64::try_from(delay.as_nanos()).unwrap_or(u64::MAX);
-        let continues = stop.sleep_until(clock::monotonic_ns().saturating_add(delay_ns));
         self.started_ns = clock::monotonic_ns();
-        Ok(continues)
+        Ok(true)
     }
 
     fn play(&mut self, args: &Args, files: &Files, stop: &Stop) -> anyhow::Result<()> {

@@ -7,7 +7,7 @@ use std::process::{Command, Output};
 use joulebus_capture_format::{Attachments, CaptureSettings, Entry, Reader, Writer};
 use joulebus_testkit::recordings::shared;
 
-use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, at, code, joulebus, json, output, stderr, stdout};
 use joulebus_testkit::assert_contains;
 use joulebus_wire::Samples;
 use rustix::process::Signal;
@@ -256,8 +256,8 @@ fn a_real_recording_is_imported_and_played() {
     assert_contains(&missing, ["v_cmd_mps", "omega_cmd_radps", "x_m", "y_m"]);
     assert!(!missing.contains("voltage_mV"), "{missing}");
     assert!(trial["least_power_w"].as_f64().unwrap() > 0.0, "{trial}");
-    let play = "publish trial --no-wait --rate 10000 --first-robot 100 --format json";
-    let played = fleet.joulebus(play).arg(&dataset).output().unwrap();
+    let play = "publish trial --no-wait --rate 10000 --format json";
+    let played = fleet.joulebus(play).arg(at(&dataset, "100")).output().unwrap();
     let played_rows = &json(&played)["trials"][0]["samples"];
     assert_eq!(*played_rows, rows, "{}", stderr(&played));
 }

@@ -13,18 +13,15 @@ use joulebus_testkit::assert_page_contains;
 use super::fleet::{Fleet, code, done, output, stderr, stdout};
 
 /// Doors, with what stands for the recording.
-const DOORS: [(&str, &str); 10] = [
+const DOORS: [(&str, &str); 9] = [
     ("data check", "data check RECORDING"),
     ("import", "import RECORDING -o OUT"),
     ("config init", "config init --from RECORDING -o OUT"),
     ("train", "train trials RECORDING --split time --recipe RECIPE --out OUT.safetensors"),
-    ("eval", "eval RECORDING --config FLEET --first-robot 0 --resamples 0"),
-    ("analyze", "analyze RECORDING --native --split time"),
+    ("eval", "eval RECORDING@0 --config FLEET --resamples 0"),
+    ("analyze", "analyze RECORDING --split time"),
     ("report", "report RECORDING --model builtin:gternal-sim -o OUT"),
-    (
-        "publish trial",
-        "publish trial RECORDING --config FLEET --no-wait --first-robot 0 --rate max",
-    ),
+    ("publish trial", "publish trial RECORDING@0 --config FLEET --no-wait --rate max"),
     (
         "model compare",
         "model compare builtin:gternal-sim builtin:gternal-sim RECORDING --resamples 0",

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, code, is_built, joulebus, output, stderr, stdout};
+use crate::fleet::{Fleet, at, code, is_built, joulebus, output, stderr, stdout};
 
 /// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
 pub(crate) const CASES: &[(i32, &str)] = &[
@@ -19,8 +19,8 @@ pub(crate) const CASES: &[(i32, &str)] = &[
     (2, "run --config JUNK"),
     (0, "publish sim --config FLEET --robots 1 --duration 0.1"),
     (2, "publish sim --config FLEET --robots 99"),
-    (0, "publish trial TRIAL --config FLEET --no-wait --first-robot 0 --rate max"),
-    (1, "publish trial JUNK --config FLEET --no-wait --first-robot 0"),
+    (0, "publish trial TRIAL@0 --config FLEET --no-wait --rate max"),
+    (1, "publish trial JUNK@0 --config FLEET --no-wait"),
     (2, "publish trial TRIAL --config FLEET --no-wait --rate 0"),
     (1, "record --config FLEET -o THERE"),
     (2, "record --config FLEET"),
@@ -119,12 +119,12 @@ pub(crate) const CASES: &[(i32, &str)] = &[
     (0, "train trials TRIAL --split time -o NEW"),
     (1, "train trials JUNK -o NEW"),
     (2, "train trials TRIAL"),
-    (1, "train trials TRIAL --split time --threads 18446744073709551615 -o NEW"),
+    (2, "train trials TRIAL --split time --threads 4 -o NEW"),
     (2, "analyze TRIAL --split time --lags 18446744073709551615"),
     (2, "eval TRIAL --resamples 4294967295"),
     (2, "train sim"),
-    (0, "analyze TRIAL --native --split time"),
-    (1, "analyze JUNK --native"),
+    (0, "analyze TRIAL --split time"),
+    (1, "analyze JUNK"),
     (2, "analyze"),
     (0, "eval TRIAL --model MODEL"),
     (1, "eval JUNK --model MODEL"),
@@ -177,6 +177,8 @@ pub(crate) fn file(fleet: &Fleet, word: &str, new: &Path) -> PathBuf {
     match word {
         "MODEL" => MODEL.into(),
         "TRIAL" => fleet.path("trial.csv"),
+        "TRIAL@0" => at(&fleet.path("trial.csv"), "0"),
+        "JUNK@0" => at(&fleet.path("junk"), "0"),
         "CAPTURE" => fleet.path("trials.mcap"),
         "CUT" => fleet.path("cut.mcap"),
         "JUNK" | "THERE" => fleet.path("junk"),

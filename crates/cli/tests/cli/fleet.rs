@@ -59,6 +59,11 @@ pub(crate) fn json(output: &Output) -> Value {
     serde_json::from_str(&stdout(output)).unwrap_or_else(|error| panic!("{error}: {output:?}"))
 }
 
+/// A path with the robot, or the platform, of what is recorded there.
+pub(crate) fn at(path: &Path, robots: &str) -> PathBuf {
+    format!("{}@{robots}", path.display()).into()
+}
+
 /// True if the program of a row is built: some verbs are programs of the workspace.
 pub(crate) fn is_built(row: &str) -> bool {
     let verb = row.split(' ').next().unwrap_or_default();

@@ -144,7 +144,7 @@ fn a_capture_gives_the_rows_of_the_trials_that_it_was_made_of() {
     for command in [
         vec!["data", "info", text(&captures)],
         vec!["data", "check", text(&captures)],
-        vec!["analyze", text(&captures), "--split", "time", "--native"],
+        vec!["analyze", text(&captures), "--split", "time"],
         vec!["eval", text(&captures), "--model", &model],
     ] {
         let done = output(&command);

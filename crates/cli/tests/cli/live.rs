@@ -5,17 +5,17 @@ use std::fs;
 use joulebus_testkit::{assert_contains, eventually};
 use rustix::process::Signal;
 
-use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr};
+use crate::fleet::{Exits as _, Fleet, Program, at, code, json, stderr};
 
 #[test]
 fn every_sample_played_as_fast_as_possible_is_accepted() {
     let fleet = Fleet::new();
     let (rows, robots, passes) = (200, 4, 2);
     let files: Vec<_> =
-        (0..robots).map(|robot| fleet.recording(&format!("{robot}.csv"), rows)).collect();
+        (0..robots).map(|robot| at(&fleet.recording(&format!("{robot}.csv"), rows), "3")).collect();
     let worker = fleet.worker();
     let mut play =
-        fleet.joulebus("publish trial --rate max --loop=2 --first-robot 3 --format json");
+        fleet.joulebus("publish trial --rate max --loop=2 --format json");
     let played = play.args(&files).output().unwrap().exits(0);
     let played = json(&played);
     let sent = u64::from(rows * robots * passes);
@@ -69,8 +69,8 @@ fn a_file_gets_the_robot_or_platform_after_its_at_sign() {
 fn a_trial_waits_for_the_worker_and_loses_nothing() {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 60);
-    let mut play = fleet.joulebus("publish trial --first-robot 0 --rate 4 --format json");
-    play.arg(&file);
+    let mut play = fleet.joulebus("publish trial --rate 4 --format json");
+    play.arg(at(&file, "0"));
     let mut play = Program::start(play);
     play.wait_for_stderr("Waiting for one");
     let worker = fleet.worker();
@@ -98,8 +98,8 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
     let file = fleet.recording("a.csv", 600);
     let worker = fleet.worker();
     let mut play =
-        fleet.joulebus("publish trial --first-robot 0 --rate max --window 3 --format json");
-    play.arg(&file);
+        fleet.joulebus("publish trial --rate max --window 3 --format json");
+    play.arg(at(&file, "0"));
     let mut play = Program::start(play);
     // Each attempt has a timeout of three seconds.
     eventually("a robot has sent samples", || code(&fleet.output("watch --once")) == 0);
@@ -153,14 +153,14 @@ fn all_samples_of_a_simulated_fleet_are_accepted() {
 fn a_signal_ends_a_source_cleanly() {
     for (verb, signal) in [
         ("publish sim --robots 3 --format json", Signal::INT),
-        ("publish trial --loop --no-wait --first-robot 0 --format json", Signal::TERM),
+        ("publish trial --loop --no-wait --format json", Signal::TERM),
         // Still waiting for a worker.
-        ("publish trial --loop --first-robot 0 --format json", Signal::TERM),
+        ("publish trial --loop --format json", Signal::TERM),
     ] {
         let fleet = Fleet::new();
         let mut source = fleet.joulebus(verb);
         if verb.contains("trial") {
-            source.arg(fleet.recording("a.csv", 30));
+            source.arg(at(&fleet.recording("a.csv", 30), "0"));
         }
         let mut source = Program::start(source);
         source.wait_for_stderr("no worker serves fleet cli");

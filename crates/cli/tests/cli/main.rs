@@ -68,7 +68,7 @@ fn a_usage_error_exits_with_2_and_without_a_result() {
         publish sim --rate 0.01 | allowed are 0.1 to 1000 Hz
         publish sim --fault 3=melted | stuck
         publish sim --config CONFIG --robots 11 | ids for 10
-        publish sim --config CONFIG --platform huksy | gternal, rover
+        publish sim --config CONFIG --platform huksy | --first-robot
         publish sim --config CONFIG --robots 2 --fault 9=stuck | 0 to 1
         publish trial TRIAL --rate fast | is not a number
         publish trial TRIAL --rate NaN | allowed are
@@ -76,7 +76,7 @@ fn a_usage_error_exits_with_2_and_without_a_result() {
         config explain tick.rate_hx | tick.rate_hz
         completions cmd | bash
         run --config /nowhere/fleet.toml | --config
-        publish trial TRIAL --config CONFIG | --platform NAME
+        publish trial TRIAL --config CONFIG | @NAME
         eval TRIAL --config CONFIG | gternal, rover
         ",
     ) {

@@ -10,7 +10,7 @@ use joulebus_testkit::{Child, assert_contains};
 use rustix::process::{Signal, geteuid};
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, Program, is_built, joulebus, stderr, stdout};
+use crate::fleet::{Fleet, Program, at, is_built, joulebus, stderr, stdout};
 
 /// Uid of `nobody`.
 const OTHER: u32 = 65_534;
@@ -25,8 +25,8 @@ const WAITS: &[&str] = &[
     "watch --format json",
     "record -o RECORDED",
     "publish sim --robots 3",
-    "publish trial TRIAL --first-robot 0",
-    "publish trial TRIAL --first-robot 0 --loop --no-wait",
+    "publish trial TRIAL@0",
+    "publish trial TRIAL@0 --loop --no-wait",
     "replay CAPTURE",
     "serve --http 127.0.0.1:0",
     "bridge BRIDGE",
@@ -48,7 +48,7 @@ fn command(fleet: &Fleet, root: &Path, row: &str) -> Command {
     write_config(fleet, &config, root);
     let file = |name: &str| match name {
         "RECORDED" => fleet.path("run.mcap"),
-        "TRIAL" => fleet.recording("a.csv", 30),
+        "TRIAL@0" => at(&fleet.recording("a.csv", 30), "0"),
         "CAPTURE" => capture(fleet, 30).0,
         "BRIDGE" => {
             let path = fleet.path("bridge.toml");

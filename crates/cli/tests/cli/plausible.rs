@@ -26,7 +26,7 @@ fn negative(fleet: &Fleet) -> String {
 fn what_is_accepted_is_reported_and_goes_on_in_text_and_json() {
     let fleet = Fleet::new();
     let path = negative(&fleet);
-    let analyze = ["analyze", &path, "--native", "--split", "time", "--format", "json"];
+    let analyze = ["analyze", &path, "--split", "time", "--format", "json"];
     let accepted = done(analyze.into_iter().chain(["--accept", "sign"]));
     assert_contains(&stderr(&accepted), ["accepted: sign"]);
     let found = &json(&accepted)["implausible"][0];
@@ -47,7 +47,7 @@ fn warnings_are_shown_and_go_on() {
         text += &format!("{},{power_w},0,0.1,{}\n", step / 30.0, 0.2 * (0.21 * step).cos());
     }
     fs::write(&path, text).unwrap();
-    let analyze = ["analyze", path.to_str().unwrap(), "--native", "--split", "time"];
+    let analyze = ["analyze", path.to_str().unwrap(), "--split", "time"];
     let found = done(analyze.into_iter().chain(["--format", "json"]));
     assert_contains(&stderr(&found), ["warning: constant"]);
     let kind = &json(&found)["implausible"][0]["kind"];

@@ -11,7 +11,7 @@ use rustix::process::Signal;
 
 use crate::captures::capture;
 use crate::exits::{calls, leaves, subcommands};
-use crate::fleet::{Exits as _, Fleet, Program, code, joulebus, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, at, code, joulebus, json, output, stderr, stdout};
 
 /// Subcommands that go on until a signal, and a line that they print once they run. Their exit code
 /// is 0, but for training: the model is not made, the checkpoint is. Words in capitals are files.
@@ -22,11 +22,8 @@ pub(crate) const RUNS: [(&str, &str); 17] = [
     ("record -o FILE --config FLEET", "recording cli into"),
     ("record --snapshot 5 -o FILE --config FLEET", "recording cli"),
     ("publish sim --robots 3 --config FLEET", "no worker serves fleet cli"),
-    (
-        "publish trial TRIAL --loop --no-wait --first-robot 0 --config FLEET",
-        "no worker serves fleet cli",
-    ),
-    ("publish trial TRIAL --first-robot 0 --config FLEET", "Waiting for one"),
+    ("publish trial TRIAL@0 --loop --no-wait --config FLEET", "no worker serves fleet cli"),
+    ("publish trial TRIAL@0 --config FLEET", "Waiting for one"),
     ("watch --plain --config FLEET", "Waiting for one"),
     ("watch --format json --config FLEET", "Waiting for one"),
     ("alarms --config FLEET", "alarms of fleet cli"),
@@ -59,7 +56,7 @@ pub(crate) fn command(fleet: &Fleet, row: &str) -> Command {
             "FLEET" => fleet.config(),
             "FILE" => fleet.path("run.mcap"),
             "NEW" => fleet.path("new"),
-            "TRIAL" => fleet.recording("a.csv", 30),
+            "TRIAL@0" => at(&fleet.recording("a.csv", 30), "0"),
             "LONG" => fleet.recording("long.csv", 20_000),
             "CAPTURE" => capture(fleet, 300).0,
             "BRIDGE" => bridge(fleet),

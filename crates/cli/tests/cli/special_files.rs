@@ -10,7 +10,7 @@ use std::process::{Command, Output};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, Program, code, joulebus, stderr};
+use crate::fleet::{Fleet, Program, at, code, joulebus, stderr};
 
 /// Every argument that is an input file; X is the file.
 const READERS: [&str; 33] = [
@@ -34,11 +34,11 @@ const READERS: [&str; 33] = [
     "data check X",
     "data info X",
     "data convert X --to npy --out OUT",
-    "publish trial X --no-wait --first-robot 0 --config FLEET",
+    "publish trial X@0 --no-wait --config FLEET",
     "eval --model MODEL X",
     "eval --model X TRIAL",
-    "analyze X --native",
-    "analyze TRIAL --native --model X",
+    "analyze X",
+    "analyze TRIAL --model X",
     "train trials X --out OUT",
     "train trials TRIAL --recipe X --out OUT",
     "model info X",
@@ -76,6 +76,7 @@ fn special_files(fleet: &Fleet) -> (Vec<(PathBuf, &'static str)>, UnixListener) 
 fn called(fleet: &Fleet, verb: &str, [tried, capture, trial]: [&Path; 3]) -> Output {
     let word = |word: &str| match word {
         "X" => tried.to_owned(),
+        "X@0" => at(tried, "0"),
         "CAPTURE" => capture.to_owned(),
         "TRIAL" => trial.to_owned(),
         "FLEET" => fleet.config(),

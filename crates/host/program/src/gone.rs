@@ -31,6 +31,18 @@ const PROGRAM: &str = "joulebus";
 
 /// A recording's interpretation.
 const MAPPING: &str = "a file of --mapping states it. `joulebus import --help` shows one";
+/// Ids of recordings.
+const IDS: &str =
+    "PATH@ID gives the ids from ID on, and PATH@PLATFORM those of a platform: recordings/@100";
+/// Lines that are no rows.
+const WHOLE: &str =
+    "`joulebus data convert FILE --whole-rows --out WHOLE.csv` writes the rows, which every verb reads";
+/// Threads of a training.
+const THREADS: &str =
+    "a training takes the processors that it may use: `taskset -c 0-3 joulebus train …`";
+/// Columns of a network's recordings.
+const CONVERTED: &str =
+    "`joulebus data convert --map … --current …` writes recordings that need no such option";
 /// Settings of scores that nobody changed.
 const SCORES: &str = "intervals are at 95 %, of blocks of rows or whole trials. joulebus.lab of the \
                       Python package has the settings";
@@ -75,6 +87,29 @@ const GONE: &[(&str, &str, &str)] = &[
     ("import", "--first-robot", MAPPING),
     ("data info", "--columns --short", "one recording has its ranges, and several have totals"),
     ("data check", "--places", "--format json has ten places of each finding"),
+    ("eval", "--platform --first-robot", IDS),
+    ("model compare", "--platform --first-robot", IDS),
+    ("publish trial", "--platform --first-robot", IDS),
+    ("publish sim", "--platform", "--first-robot ID names a robot of the platform"),
+    ("data info", "--whole-rows", WHOLE),
+    ("data check", "--whole-rows", "each line that is no row is named, and the rest is checked"),
+    ("train trials", "--whole-rows", WHOLE),
+    ("analyze", "--whole-rows", WHOLE),
+    ("eval", "--whole-rows", WHOLE),
+    ("calibrate", "--whole-rows", WHOLE),
+    ("report", "--whole-rows", WHOLE),
+    ("model compare", "--whole-rows", WHOLE),
+    ("publish trial", "--whole-rows", WHOLE),
+    ("config init", "--whole-rows", WHOLE),
+    ("model import", "--map --current --whole-rows", CONVERTED),
+    ("model import", "--name", "a model has the name of its file"),
+    ("train sim", "--threads", THREADS),
+    ("train trials", "--threads", THREADS),
+    ("train trials", "--name", "a model has the name of its file, or that of the recipe"),
+    ("serve", "--webhook-ca", "`ca = \"FILE\"` of a receiver in the file of --webhooks names it"),
+    ("replay", "--delay", "start the planners first: they wait for the first frame"),
+    ("ask", "--dock", "--return X,Y returns to the dock at this point"),
+    ("analyze", "--native", "the native series are always shown. --resample adds a grid"),
     ("analyze", "--window", "the models read five readings, as the network does"),
     ("analyze", "--each", "--format json has the autocorrelation of each trial"),
     (

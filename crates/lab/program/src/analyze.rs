@@ -25,7 +25,7 @@ use crate::split_unit::SplitUnit;
     joulebus analyze recordings/\n  \
     joulebus analyze husky/ --split group --leave-out ICE\n  \
     joulebus analyze trials/*.npy --model gternal.safetensors --lags 30\n  \
-    joulebus analyze recordings/ --native --format json\n\n\
+    joulebus analyze recordings/ --format json\n\n\
     The held series is what a controller at 30 Hz reads, whatever the sensor's own rate. \
     Linear models are fitted by least squares on the training rows of the split, and all models are scored on \
     the same held-out rows. A held reading equals the one before to the bit. A constant load \
@@ -50,9 +50,6 @@ pub(crate) struct Args {
     /// Rows per second of the grid
     #[arg(long, value_name = "HZ", default_value_t = 30.0)]
     rate: f64,
-    /// Only the native series
-    #[arg(long, conflicts_with = "resample")]
-    native: bool,
     /// Unit that stays together when rows are held out
     #[arg(long, value_enum, value_name = "BY", default_value_t = SplitUnit::Trial)]
     split: SplitUnit,
@@ -91,10 +88,7 @@ impl Args {
     fn settings(&self) -> AnalysisSettings {
         AnalysisSettings {
             lags: self.lags,
-            grids: match self.native {
-                true => Vec::new(),
-                false => self.resample.iter().map(|how| self.grid(*how)).collect(),
-            },
+            grids: self.resample.iter().map(|how| self.grid(*how)).collect(),
             split: Split {
                 by: self.split.into(),
                 held_out: self.held_out,

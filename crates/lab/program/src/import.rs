@@ -18,7 +18,7 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use crate::judgement::{self, AcceptArguments, Judged};
-use crate::recordings::ColumnArguments;
+use crate::recordings::{ColumnArguments, LineArguments};
 use bag::BagRead;
 
 /// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a
@@ -66,6 +66,8 @@ pub(crate) struct Args {
     mapping: Option<PathBuf>,
     #[command(flatten)]
     columns: ColumnArguments,
+    #[command(flatten)]
+    lines: LineArguments,
     #[command(flatten)]
     accept: AcceptArguments,
     /// Fleet whose config goes into a capture
@@ -128,7 +130,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         sources.push(if bag::is_bag(file) {
             read_bag(file, &mapping, &mut recordings)?
         } else {
-            read_trials(file, &args.columns.map(), &mut recordings)?
+            read_trials(file, &args.columns.map().whole_rows(args.lines.whole_rows), &mut recordings)?
         });
     }
     let mut report = ImportReport { sources, implausible: Vec::new(), written: Vec::new() };

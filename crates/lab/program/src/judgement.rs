@@ -173,7 +173,8 @@ impl AcceptArguments {
     fn log_lines_left_out(&self, file: &dyn fmt::Display, left_out: &LeftOut, may_be_cut: bool) {
         if may_be_cut && !self.settled {
             let what = "its last line has no newline, so that its last number may be cut";
-            log_line(&format!("warning: {file}: {what}; --whole-rows leaves such a line out"));
+            let remedy = "`joulebus data convert --whole-rows` leaves such a line out";
+            log_line(&format!("warning: {file}: {what}; {remedy}"));
         }
         if left_out.lines > 0 && !self.settled {
             log_line(&format!("warning: {file}: {left_out}"));

@@ -31,7 +31,7 @@ const LATE_NS: u64 = 50_000_000;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus publish trial recordings/*.csv.gz\n  \
-    joulebus publish trial a.npy b.npy --first-robot 3 --rate max\n  \
+    joulebus publish trial recordings/@3 --rate max\n  \
     joulebus publish trial a.npy@3 b.npy@17 --loop=10 --rate 2\n  \
     joulebus publish trial --config configs/mixed.toml robotino/@robotino husky/@husky rover/@rover\n\n\
     A directory stands for the recordings in it, up to the number of its platform's ids. Values that a file does \

@@ -34,10 +34,15 @@ pub(crate) struct ColumnArguments {
     /// discharge-negative, as in ROS]
     #[arg(long, value_name = "SIGN")]
     pub(crate) current: Option<Sign>,
+}
+
+/// Whether lines that are no rows are left out, for verbs that write what they read.
+#[derive(Debug, Clone, Copy, clap::Args)]
+pub(crate) struct LineArguments {
     /// Leave out lines of CSV files that are no whole rows (cut, NUL bytes, comments, a second
     /// header, units), and say how many
     #[arg(long)]
-    whole_rows: bool,
+    pub(crate) whole_rows: bool,
 }
 
 /// Note of an option that a config keeps.
@@ -62,9 +67,6 @@ impl ColumnArguments {
         }
         if let Some(sign) = self.current.and_then(|sign| sign.to_possible_value()) {
             options += &format!(" --current {}", sign.get_name());
-        }
-        if self.whole_rows {
-            options += " --whole-rows";
         }
         options
     }
@@ -115,8 +117,7 @@ impl ColumnArguments {
     /// Rules for reading recordings: the names and the sign given.
     pub(crate) fn map(&self) -> ColumnMap {
         let turned = self.current == Some(Sign::DischargeNegative);
-        let map = ColumnMap::from(self.map.clone());
-        map.discharge_negative(turned).whole_rows(self.whole_rows)
+        ColumnMap::from(self.map.clone()).discharge_negative(turned)
     }
 }
 

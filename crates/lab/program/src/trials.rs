@@ -16,16 +16,10 @@ use crate::recordings::{ColumnArguments, find_recordings};
 #[derive(Debug, Clone, clap::Args)]
 pub(crate) struct TrialFiles {
     /// Recordings (.npy, .csv, .csv.gz), captures (.mcap), or directories of them. PATH@ID assigns
-    /// a robot id, PATH@NAME the ids of a platform: a.csv.gz@100, recordings/@husky
+    /// the robot ids from ID on, PATH@NAME those of a platform: a.csv.gz@100, recordings/@husky
+    /// [default: those of the config's only platform]
     #[arg(required = true, value_name = "PATH[@ROBOT|@PLATFORM]")]
     paths: Vec<OsString>,
-    /// Platform of the config whose ids are assigned in ascending order to paths without an @
-    /// [default: the config's only platform]
-    #[arg(long, value_name = "NAME", conflicts_with = "first_robot")]
-    platform: Option<String>,
-    /// Id of the first robot for paths without an @. The following ids are consecutive
-    #[arg(long, value_name = "ID")]
-    first_robot: Option<u32>,
     #[command(flatten)]
     columns: ColumnArguments,
 }
@@ -46,11 +40,11 @@ impl TrialFiles {
     /// there are files.
     pub(crate) fn read(&self, config: &Config) -> anyhow::Result<Vec<(u32, Trial)>> {
         let settings = config.settings();
-        let mut ids = Ids::new(self.first_robot);
+        let mut ids = Ids::default();
         let mut trials = Vec::new();
         for path in &self.paths {
-            let (path, source) = self.id_source(path, settings)?;
-            for (robot, file) in assign(&path, source.as_ref(), settings, &mut ids)? {
+            let (path, source) = Self::id_source(path, settings)?;
+            for (robot, file) in assign(&path, &source, settings, &mut ids)? {
                 let map = match place_of(settings, robot) {
                     Some(platform) => self.map_of(config, platform)?,
                     None => self.map(),
@@ -58,13 +52,7 @@ impl TrialFiles {
                 let mut read = Trial::read_mapped(&file, &map)?;
                 match read.len() {
                     1 => trials.push((robot, read.remove(0))),
-                    _ => trials.extend(apart(
-                        &file,
-                        (robot, read),
-                        source.as_ref(),
-                        settings,
-                        &mut ids,
-                    )?),
+                    _ => trials.extend(apart(&file, (robot, read), &source, settings, &mut ids)?),
                 }
             }
         }
@@ -83,8 +71,7 @@ impl TrialFiles {
 
     /// True if an id or a platform is given.
     pub(crate) fn names_robots(&self) -> bool {
-        let named = self.platform.is_some() || self.first_robot.is_some();
-        named || self.paths.iter().any(|path| split(path).1.is_some())
+        self.paths.iter().any(|path| split(path).1.is_some())
     }
 
     /// The recordings, if neither ids nor platforms are given.
@@ -99,15 +86,15 @@ impl TrialFiles {
     /// The recordings with the ids of their robots, for independent robots: once a platform's ids
     /// are used up, they are assigned again.
     pub(crate) fn assigned(&self, settings: &FleetSettings) -> anyhow::Result<Vec<(u32, PathBuf)>> {
-        let mut ids = Ids::new(self.first_robot);
+        let mut ids = Ids::default();
         let mut assigned = Vec::new();
         for path in &self.paths {
-            let (path, source) = self.id_source(path, settings)?;
+            let (path, source) = Self::id_source(path, settings)?;
             for file in find_recordings(&[path])? {
-                let mut robot = ids.next(source.as_ref(), settings)?;
+                let mut robot = ids.next(&source, settings)?;
                 if robot.is_none() {
                     ids.taken.clear();
-                    robot = ids.next(source.as_ref(), settings)?;
+                    robot = ids.next(&source, settings)?;
                 }
                 let Some(robot) = robot else {
                     let name = file.display();
@@ -121,34 +108,21 @@ impl TrialFiles {
 
     /// The path, and the source of its ids.
     fn id_source(
-        &self,
         argument: &OsString,
         settings: &FleetSettings,
-    ) -> Result<(PathBuf, Option<IdSource>), UsageError> {
+    ) -> Result<(PathBuf, IdSource), UsageError> {
         let (path, source) = split(argument);
-        let source = match source {
-            Some(source) => Some(source),
-            None => self.default_source(settings)?,
-        };
-        Ok((path, source))
-    }
-
-    /// Source of the ids if the path does not name one. None: consecutive ids.
-    fn default_source(&self, settings: &FleetSettings) -> Result<Option<IdSource>, UsageError> {
-        if self.first_robot.is_some() {
-            return Ok(None);
-        }
-        let platform = match (&self.platform, settings.platforms.as_slice()) {
-            (Some(name), _) => name.clone(),
-            (None, [only]) => only.name.clone(),
+        let source = match (source, settings.platforms.as_slice()) {
+            (Some(source), _) => source,
+            (None, [only]) => IdSource::Platform(only.name.clone()),
             (None, several) => {
                 let names = names(several);
                 let what = "which platform? The config has several";
-                let remedy = "Give --platform NAME or PATH@NAME";
+                let remedy = format!("Give {}@NAME", path.display());
                 return Err(UsageError(format!("{what}: {names}. {remedy}")));
             }
         };
-        Ok(Some(IdSource::Platform(platform)))
+        Ok((path, source))
     }
 }
 
@@ -156,14 +130,14 @@ impl TrialFiles {
 fn apart(
     file: &Path,
     (first, trials): (u32, Vec<Trial>),
-    source: Option<&IdSource>,
+    source: &IdSource,
     settings: &FleetSettings,
     ids: &mut Ids,
 ) -> anyhow::Result<Vec<(u32, Trial)>> {
     let found = trials.len();
     let mut assigned = Vec::with_capacity(found);
-    // With --first-robot the ids are consecutive, whatever the robots' names are.
-    let named = source.is_some();
+    // With PATH@ID the ids are consecutive, whatever the robots' names are.
+    let named = matches!(source, IdSource::Platform(_));
     ids.taken.retain(|id| !named || *id != first);
     let mut first = (!named).then_some(first);
     for trial in trials {
@@ -198,7 +172,7 @@ pub(crate) fn place_of(settings: &FleetSettings, robot: u32) -> Option<usize> {
 /// The files of a path with the ids of their robots.
 fn assign(
     path: &Path,
-    source: Option<&IdSource>,
+    source: &IdSource,
     settings: &FleetSettings,
     ids: &mut Ids,
 ) -> anyhow::Result<Vec<(u32, PathBuf)>> {
@@ -254,30 +228,21 @@ pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
     find_recordings(&[directory.to_owned()])
 }
 
+#[derive(Default)]
 struct Ids {
-    next: Option<u32>,
     taken: Vec<u32>,
 }
 
 impl Ids {
-    const fn new(first: Option<u32>) -> Self {
-        Self { next: first, taken: Vec::new() }
-    }
-
     /// The next id. None if all are assigned.
     fn next(
         &mut self,
-        source: Option<&IdSource>,
+        source: &IdSource,
         settings: &FleetSettings,
     ) -> Result<Option<u32>, UsageError> {
         let id = match source {
-            None => {
-                let id = self.next;
-                self.next = id.and_then(|id| id.checked_add(1));
-                id
-            }
-            Some(IdSource::From(first)) => self.first_free(*first..=u32::MAX),
-            Some(IdSource::Platform(name)) => {
+            IdSource::From(first) => self.first_free(*first..=u32::MAX),
+            IdSource::Platform(name) => {
                 let platform = platform(settings, name)?;
                 self.first_free(platform.robots.iter().cloned().flatten())
             }

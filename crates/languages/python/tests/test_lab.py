@@ -49,9 +49,9 @@ def test_simulated_trials_are_the_bytes_that_the_program_writes(run, tmp_path):
 
 
 def test_a_training_gives_the_programs_bytes_report_and_scores(run, files, tmp_path):
-    recipe, out = tmp_path / "recipe.toml", tmp_path / "program.safetensors"
+    recipe, out = tmp_path / "recipe.toml", tmp_path / "mine.safetensors"
     recipe.write_text("[training]\nmax_epochs = 3\n")
-    arguments = [*files[:6], "--split", "time", "--seed", 9, "--recipe", recipe, "--out", out, "--name", "mine"]
+    arguments = [*files[:6], "--split", "time", "--seed", 9, "--recipe", recipe, "--out", out]
     told = json.loads(run("train", "trials", *arguments, "--format", "json"))
     seen = []
     made = joulebus.train(

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::{fmt, io};
 
 /// Remedy for a file with bad lines: without them, or without the file.
-const LEAVE_OUT: &str = ". --whole-rows leaves such lines out (`joulebus data convert \
-    --whole-rows` for other programs), or leave the file out: move it, or name the others";
+const LEAVE_OUT: &str = ". `joulebus data convert --whole-rows` leaves such \
+    lines out, or leave the file out: move it, or name the others";
 
 /// What is wrong with a file that could not be read as a trial, or written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -11,7 +11,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::Output;
 use serde::Serialize;
 
-use crate::recordings::{Recordings, Resampling};
+use crate::recordings::{LineArguments, Recordings, Resampling};
 
 /// Convert recorded trials to another format, bit for bit, and resample on request
 #[derive(Debug, clap::Args)]
@@ -30,6 +30,8 @@ use crate::recordings::{Recordings, Resampling};
 pub(super) struct Args {
     #[command(flatten)]
     recordings: Recordings,
+    #[command(flatten)]
+    lines: LineArguments,
     /// The output file or, with --to, the output directory
     #[arg(short, long, value_name = "PATH")]
     out: PathBuf,
@@ -87,9 +89,10 @@ pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let resample = args.grid();
     let dropped = args.dropped()?;
     let found = args.recordings.find()?;
+    let map = args.recordings.map().whole_rows(args.lines.whole_rows);
     let mut tables = Vec::new();
     for file in &found {
-        tables.extend(Table::read_mapped(file, &args.recordings.map())?);
+        tables.extend(Table::read_mapped(file, &map)?);
     }
     if resample.is_some() {
         // On a grid, recordings that were appended to each other do not overlap.

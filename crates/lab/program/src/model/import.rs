@@ -14,7 +14,6 @@ use joulebus_program::output::Output;
 use serde::Serialize;
 
 use super::info::ScoreReport;
-use crate::recordings::ColumnArguments;
 use crate::trials::recordings;
 
 /// Number of other conventions shown in the report.
@@ -25,7 +24,7 @@ const SHOWN: usize = 4;
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:\n  \
     joulebus model import plain.safetensors --data recordings/ --out mine.safetensors\n  \
-    joulebus model import plain.safetensors --data a.npy b.csv.gz --out mine.safetensors --name lab\n\n\
+    joulebus model import plain.safetensors --data a.npy b.csv.gz --out lab.safetensors\n\n\
     FILE has one to three hidden layers of at most 64, 64 and 32 units with gelu_erf, gelu_tanh or \
     relu, and states how its features were computed. The recordings should be of the robots that the \
     network was trained for. If another convention has a squared error smaller by 5 %, nothing is \
@@ -42,21 +41,15 @@ pub(crate) struct Args {
     /// .csv.gz, .mcap), or directories of them
     #[arg(long, value_name = "PATH", num_args = 1.., required = true)]
     data: Vec<PathBuf>,
-    #[command(flatten)]
-    columns: ColumnArguments,
-    /// Name of the model [default: that of the file]
-    #[arg(long, value_name = "NAME")]
-    name: Option<String>,
 }
 
 pub(super) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let plain = read(&args.file)?;
-    let trials = trials(&args.data, &args.columns.map())?;
+    let trials = trials(&args.data, &ColumnMap::default())?;
     let shown = args.file.display().to_string();
-    let usual = args.file.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    let name = args.name.as_deref().or(usual.as_deref()).unwrap_or("imported");
+    let name = args.out.file_stem().unwrap_or_default().to_string_lossy();
     let file = args.file.file_name().unwrap_or_default().to_string_lossy();
-    let imported = plain.import(&trials, name, &file).with_context(|| shown.clone())?;
+    let imported = plain.import(&trials, &name, &file).with_context(|| shown.clone())?;
     write(&args.out, &imported.network.to_safetensors()?)?;
     output.report(&ImportReport::new(shown, &args.out, &plain, &imported))?;
     Ok(Outcome::Done)

@@ -35,15 +35,12 @@ pub(super) struct RunArguments {
     /// Continue the interrupted run from its checkpoint, FILE.training beside the model
     #[arg(long)]
     resume: bool,
-    /// Threads to compute on, at most 256. The result does not depend on it [default: one per core]
-    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
-    threads: usize,
 }
 
 impl RunArguments {
     /// A run that writes this model.
     pub(super) fn new(out: &Path) -> Self {
-        Self { out: out.to_owned(), resume: false, threads: 0 }
+        Self { out: out.to_owned(), resume: false }
     }
 
     /// Checks the paths of the model and its checkpoint before the training, not after minutes of
@@ -129,7 +126,7 @@ impl RunArguments {
         saved_at: Option<&Path>,
     ) -> anyhow::Result<Training> {
         let Some(saved_at) = saved_at.filter(|_| self.resume) else {
-            return Ok(Training::new(dataset, settings, self.threads)?);
+            return Ok(Training::new(dataset, settings, 0)?);
         };
         let at = saved_at.display();
         let saved = match joulebus_files::read(saved_at, MAX_SAVED_BYTES) {
@@ -140,7 +137,7 @@ impl RunArguments {
             }
             Err(error) => return Err(error).with_context(|| format!("cannot read {at}")),
         };
-        let training = Training::resume(dataset, settings, self.threads, &saved)
+        let training = Training::resume(dataset, settings, 0, &saved)
             .with_context(|| format!("cannot continue from {at}"))?;
         log_line(&format!("continuing after epoch {}", training.epochs().len()));
         Ok(training)

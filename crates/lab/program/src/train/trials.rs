@@ -56,9 +56,6 @@ pub(super) struct Args {
     /// recipe]
     #[arg(long, value_name = "N")]
     seed: Option<u64>,
-    /// Name of the model [default: that of the recipe, or of its file]
-    #[arg(long, value_name = "NAME")]
-    name: Option<String>,
     /// Input features of the network [default: those of the recipe. If it states none: full, or
     /// power if most rows have no velocities]
     #[arg(long, value_enum)]
@@ -111,7 +108,6 @@ impl Args {
             leave_out: Vec::new(),
             recipe: None,
             seed: None,
-            name: None,
             features: None,
             most_rows: MAX_ROWS,
             columns: columns.clone(),
@@ -172,9 +168,7 @@ impl Args {
             settings.feature_set = features.into();
             states_features = true;
         }
-        if let Some(name) = &self.name {
-            settings.name.clone_from(name);
-        } else if settings.name == TrainSettings::default().name
+        if settings.name == TrainSettings::default().name
             && let Some(stem) = self.run.out.file_stem().and_then(|stem| stem.to_str())
         {
             stem.clone_into(&mut settings.name);

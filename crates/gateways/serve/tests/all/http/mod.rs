@@ -336,7 +336,7 @@ fn the_server_sorts_filters_and_cuts() {
     let _worker = fleet.worker();
     let (_server, address) = fleet.serve(&[]);
     let _source = fleet.joulebus("publish sim --robots 12");
-    let _rovers = fleet.joulebus("publish sim --robots 3 --platform rover");
+    let _rovers = fleet.joulebus("publish sim --robots 3 --first-robot 100");
     eventually("fifteen robots", || get_json(&address, "/api/v1/robots")["total"] == 15);
     let ids = |query: &str| -> Vec<u64> {
         let robots = get_json(&address, &format!("/api/v1/robots?{query}"));
