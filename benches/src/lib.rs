@@ -24,17 +24,3 @@ pub use joulebus_latency::{Spread, histogram};
 
 pub use report::{Report, Suite};
 pub use run::main;
-
-#[cfg(test)]
-mod tests {
-    use clap::Args as _;
-
-    use crate::arguments::BenchArguments;
-
-    #[test]
-    fn the_main_program_shows_these_options() {
-        let verb = BenchArguments::augment_args(clap::Command::new("bench"));
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../crates/cli/verbs/bench.json");
-        joulebus_program::described::check(file.as_ref(), &[verb]);
-    }
-}

@@ -38,7 +38,7 @@ pub(crate) struct Cli {
     pub(crate) command: Option<Command>,
 }
 
-/// What to do. Verbs without arguments here are other programs' ([`external`]).
+/// What to do.
 #[derive(Debug, Subcommand)]
 pub(crate) enum Command {
     Demo(demo::Args),
@@ -53,21 +53,38 @@ pub(crate) enum Command {
     Ask(ask::Args),
     Info(info::Args),
     Recover(recover::Args),
-    Serve,
-    Bridge,
-    Link,
-    Import,
-    Data,
+    /// Show a fleet to people and programs: a page, a JSON API and metrics, and alarms as webhooks
+    Serve(external::Args),
+    /// Bring robots that speak MQTT or ROS 2 into a fleet, and tell others its forecasts, budgets
+    /// and alarms
+    Bridge(external::Args),
+    /// Join a fleet over several hosts: samples of robots elsewhere, forecasts for planners
+    /// elsewhere
+    Link(external::Args),
+    /// Import recordings (bags of rosbag2, our captures, .npy, .csv, .csv.gz) as datasets or as a
+    /// capture
+    Import(external::Args),
+    /// Describe recorded trials, check them, convert them, and write simulated ones
+    Data(external::Args),
     Status(status::Args),
     Doctor(doctor::Args),
     Config(config::Args),
-    Train,
-    Analyze,
-    Eval,
-    Report,
-    Model,
-    Bench,
-    Mission,
+    /// Train a model
+    Train(external::Args),
+    /// Analyse a dataset: autocorrelation, the gain of each input, and the share of a score that
+    /// comes from held readings
+    Analyze(external::Args),
+    /// Evaluate recorded trials offline: the same bits as playing them live, compared with the
+    /// baselines
+    Eval(external::Args),
+    /// Report what recordings say of energy and battery, and the accuracy of models
+    Report(external::Args),
+    /// Inspect, import, export and compare model files
+    Model(external::Args),
+    /// Measure the speed of this machine
+    Bench(external::Args),
+    /// Simulate missions under several charging policies, to see what energy forecasts are worth
+    Mission(external::Args),
     Completions(completions::Args),
     Man(man::Args),
 }
@@ -85,9 +102,14 @@ const GROUPS: [(&str, &[&str]); 6] = [
 /// Columns of a line of the help.
 const COLUMNS: usize = 98;
 
-/// The whole parser, with the verbs of other programs.
+/// The parser with the verbs of other programs, which are there to be completed and listed.
+pub(crate) fn whole() -> clap::Command {
+    Verb::complete(external::verbs(), command())
+}
+
+/// The parser. Other programs parse the arguments of their verbs.
 pub(crate) fn command() -> clap::Command {
-    let command = Verb::complete(external::verbs(), Cli::command());
+    let command = Cli::command();
     let list = listed(&command);
     command.help_template(format!(
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n\nCommands:\n{list}\nOptions:\n{{options}}{{after-help}}"
@@ -146,6 +168,10 @@ mod tests {
         while let Some(verb) = verbs.pop() {
             let shown = verb.get_subcommands().filter(|verb| !verb.is_hide_set());
             verbs.extend(shown.cloned());
+            if verb.is_disable_help_flag_set() {
+                // Another program has it.
+                continue;
+            }
             let help = verb.get_after_help().map(ToString::to_string);
             let help = help.unwrap_or_default();
             assert!(help.contains("joulebus"), "{}: {help:?}", verb.get_name());

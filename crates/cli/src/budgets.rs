@@ -1,6 +1,7 @@
 //! The newest budgets of robots, for verbs that look once.
 
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use joulebus_board::{Board, Reading};
@@ -27,4 +28,19 @@ pub(crate) fn budgets(
         found = rows.filter(is_wanted).collect();
     }
     Ok((found, board.into_inner().header().is_some()))
+}
+
+/// The robots of which a worker sends forecasts. Empty without a worker.
+pub(crate) fn present(
+    config: &Config,
+    name: &str,
+    patience: Duration,
+) -> anyhow::Result<BTreeSet<u32>> {
+    let board = RefCell::new(Board::new(clock::monotonic_ns()));
+    let mut reading = Reading::open(config, name, false)?;
+    let give_up_ns = clock::monotonic_ns() + patience.as_nanos() as u64;
+    while board.borrow().rows.is_empty() && clock::monotonic_ns() < give_up_ns {
+        reading.poll(|| board.borrow_mut())?;
+    }
+    Ok(board.into_inner().rows.into_keys().collect())
 }

@@ -32,7 +32,9 @@ pub(crate) struct Args {
 
 #[derive(Debug, Subcommand)]
 enum Verb {
-    Init,
+    /// Write a platform's and a fleet's config from recordings or a data sheet, and train its model
+    /// if asked
+    Init(external::Args),
     /// Check files of fleets, platforms, bridges and links (exit 2 if one is refused)
     #[command(
         after_help = "Example:\n  joulebus config check configs/fleet.toml configs/links/*.toml"
@@ -68,7 +70,7 @@ enum Verb {
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     match &args.verb {
-        Verb::Init => external::run_lab("config init"),
+        Verb::Init(_) => external::run_lab("config init"),
         Verb::Check { files } => check(files, output),
         Verb::Show { file } => show(file.clone(), output),
         Verb::Explain { key } => explain_key(key.as_deref(), output),

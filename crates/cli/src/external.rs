@@ -1,5 +1,5 @@
 //! Verbs that are separate programs: `joulebus VERB` executes `joulebus-VERB`, or `joulebus-lab`
-//! for the offline verbs. Tests compare `verbs/*.json` with those programs' options.
+//! for the offline verbs. They parse their own arguments and show their own help.
 
 use std::env;
 use std::ffi::OsString;
@@ -7,38 +7,57 @@ use std::os::unix::process::CommandExt as _;
 use std::process::Command;
 
 use anyhow::Context as _;
-use joulebus_program::described::Verb;
+use joulebus_program::described::{self, Verb};
 use joulebus_program::exit::Outcome;
 use joulebus_program::installed::find_program;
+use joulebus_program::output::log_line;
 
-/// Descriptions of the verbs of all other programs.
-const DESCRIBED: [&str; 5] = [
-    include_str!("../verbs/lab.json"),
-    include_str!("../verbs/serve.json"),
-    include_str!("../verbs/bridge.json"),
-    include_str!("../verbs/link.json"),
-    include_str!("../verbs/bench.json"),
-];
+/// The programs that are a verb each.
+const PROGRAMS: [&str; 4] = ["serve", "bridge", "link", "bench"];
+/// The verbs of `joulebus-lab`.
+const OF_LAB: [&str; 9] =
+    ["import", "data", "train", "analyze", "eval", "calibrate", "report", "model", "mission"];
+/// Its verbs below those of `joulebus`.
+const BELOW: [[&str; 2]; 2] = [["publish", "trial"], ["config", "init"]];
 
-/// The verbs of other programs.
+/// Arguments that another program parses.
+#[derive(Debug, clap::Args)]
+#[command(disable_help_flag = true)]
+pub(crate) struct Args {
+    #[arg(hide = true, trailing_var_arg = true, allow_hyphen_values = true)]
+    words: Vec<OsString>,
+}
+
+/// The verbs of other programs, which tell them. Programs that are not there are named on stderr.
 pub(crate) fn verbs() -> &'static [Verb] {
-    let verbs: Vec<Verb> = DESCRIBED.iter().flat_map(|text| described(text)).collect();
+    let mut verbs = Vec::new();
+    for program in PROGRAMS.into_iter().chain(["lab"]) {
+        let name = format!("joulebus-{program}");
+        match find_program(&name).and_then(|program| described::ask(&program)) {
+            Ok(told) => verbs.extend(told),
+            Err(error) => log_line(&format!("without the options of {name}: {error:#}")),
+        }
+    }
     Vec::leak(verbs)
 }
 
-/// The program `joulebus-lab`, whose verbs are shown as those of `joulebus`.
-pub(crate) fn lab() -> clap::Command {
-    clap::Command::new("joulebus-lab")
-        .version(env!("CARGO_PKG_VERSION"))
-        .about("The verbs of joulebus that work on recordings and models (joulebus VERB runs them)")
-        .after_help(
-            "Examples:\n  joulebus eval recordings/ --model my.safetensors\n  joulebus help eval",
-        )
-}
-
-fn described(text: &str) -> Vec<Verb> {
-    // A test reads each of them.
-    serde_json::from_str(text).expect("the description of a verb is valid")
+/// The help of a verb of another program, if `joulebus help` asks for it: that program shows it.
+pub(crate) fn help(joulebus: &clap::Command) -> Option<anyhow::Result<Outcome>> {
+    let is_verb = |word: &OsString| word == "help" || joulebus.find_subcommand(word).is_some();
+    let mut words = env::args_os().skip(1).skip_while(|word| !is_verb(word));
+    words.next().filter(|word| word == "help")?;
+    let mut words: Vec<OsString> = words.collect();
+    let is = |at: usize, name: &str| words.get(at).is_some_and(|word: &OsString| word == name);
+    let of_lab = OF_LAB.iter().any(|name| is(0, name))
+        || BELOW.iter().any(|[first, second]| is(0, first) && is(1, second));
+    let own = PROGRAMS.into_iter().find(|name| is(0, name));
+    let (verb, program) = match own {
+        Some(verb) => (words.remove(0), format!("joulebus-{verb}")),
+        None if of_lab => (words[0].clone(), "joulebus-lab".to_owned()),
+        None => return None,
+    };
+    words.push("--help".into());
+    Some(execute(&verb.to_string_lossy(), &program, words))
 }
 
 /// Executes the program of `verb`, with the same arguments, replacing this process. So signals and
@@ -82,10 +101,5 @@ mod tests {
         let words = ["-v", "--format", "json", "report", "report", "--out", "x"];
         let left = without("report", words.iter().map(OsString::from));
         assert_eq!(left, ["-v", "--format", "json", "report", "--out", "x"]);
-    }
-
-    #[test]
-    fn every_description_is_valid() {
-        assert!(verbs().len() >= DESCRIBED.len());
     }
 }

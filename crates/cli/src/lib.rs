@@ -69,6 +69,9 @@ pub fn main() -> ExitCode {
         return exit::code(Err(error.into()));
     }
     joulebus_bus::trace_iceoryx2();
+    if let Some(helped) = external::help(&arguments::command()) {
+        return exit::code(helped);
+    }
     match parse() {
         Ok((command, output)) => exit::code(execute(&command, output)),
         Err(refused) => exit::refused(&refused),
@@ -104,22 +107,22 @@ fn execute(command: &Command, output: Output) -> anyhow::Result<Outcome> {
         Command::Ask(args) => ask::run(args, output),
         Command::Info(args) => info::run(args, output),
         Command::Recover(args) => recover::run(args, output),
-        Command::Serve => external::run("serve"),
-        Command::Bridge => external::run("bridge"),
-        Command::Link => external::run("link"),
-        Command::Import => external::run_lab("import"),
-        Command::Data => external::run_lab("data"),
+        Command::Serve(_) => external::run("serve"),
+        Command::Bridge(_) => external::run("bridge"),
+        Command::Link(_) => external::run("link"),
+        Command::Import(_) => external::run_lab("import"),
+        Command::Data(_) => external::run_lab("data"),
         Command::Doctor(args) => doctor::run(args, output),
         Command::Status(args) => status::run(args, output),
         Command::Config(args) => config::run(args, output),
-        Command::Train => external::run_lab("train"),
-        Command::Analyze => external::run_lab("analyze"),
-        Command::Eval => external::run_lab("eval"),
-        Command::Report => external::run_lab("report"),
-        Command::Model => external::run_lab("model"),
-        Command::Bench => external::run("bench"),
-        Command::Mission => external::run_lab("mission"),
-        Command::Completions(args) => completions::run(args, arguments::command()),
-        Command::Man(args) => man::run(args, arguments::command()),
+        Command::Train(_) => external::run_lab("train"),
+        Command::Analyze(_) => external::run_lab("analyze"),
+        Command::Eval(_) => external::run_lab("eval"),
+        Command::Report(_) => external::run_lab("report"),
+        Command::Model(_) => external::run_lab("model"),
+        Command::Bench(_) => external::run("bench"),
+        Command::Mission(_) => external::run_lab("mission"),
+        Command::Completions(args) => completions::run(args, arguments::whole()),
+        Command::Man(args) => man::run(args, &arguments::whole()),
     }
 }

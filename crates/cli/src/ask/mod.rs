@@ -22,7 +22,7 @@ use joulebus_program::exit::{Outcome, UsageError};
 use joulebus_program::output::{Output, log_line};
 use joulebus_wire::{Budget, DiagnosticHeader, QueryRefusal};
 
-use crate::budgets::budgets;
+use crate::budgets::{budgets, present};
 use crate::configs;
 use point::ReturnTo;
 
@@ -322,7 +322,7 @@ impl Args {
                 (ViewError::Nothing { .. }, Some(no_worker)) => anyhow!("{no_worker}"),
                 (error, _) => error.into(),
             })?;
-        let (question, missing) = self.among(question, |robot| Ok(view.rows(robot).is_some()))?;
+        let (question, missing) = self.among(question, |robot| view.rows(robot).is_some());
         let answered = question.answer(&fleet, |robot| view.rows(robot), MAX_STEPS);
         let reply = answered.map_err(|error| match error {
             QuestionError::Ask(error) => UsageError(error.to_string()).into(),
@@ -342,23 +342,18 @@ impl Args {
         Ok(FleetAnswer { config, tick, age_ns, reply, missing, budgets })
     }
 
-    /// Lets the worker answer.
+    /// Lets the worker answer: about the robots that are there, if several are asked about.
     fn send<'a>(&self, config: &'a Config, question: &Question) -> anyhow::Result<FleetAnswer<'a>> {
         let mut client = PlanClient::with_config(config, "ask")?;
-        let mut missing = Vec::new();
-        let mut answered = client.ask(question, WORKER_TIMEOUT);
-        if answered.as_ref().is_err_and(is_unknown_robot) {
-            let (others, unknown) = self.among(question.clone(), |robot| {
-                let plan = Plan::Idle { robots: vec![robot], duration_s: 1.0 };
-                let asked = client.ask(&Question { plan, ..Question::default() }, WORKER_TIMEOUT);
-                match asked {
-                    Err(error) if !is_unknown_robot(&error) => Err(refused(error, config)),
-                    asked => Ok(asked.is_ok()),
-                }
-            })?;
-            missing = unknown;
-            if !missing.is_empty() {
-                answered = client.ask(&others, WORKER_TIMEOUT);
+        let (mut others, mut missing) = (None, Vec::new());
+        if self.ranks_all() {
+            (others, missing) = self.among_present(question, config);
+        }
+        let mut answered = client.ask(others.as_ref().unwrap_or(question), WORKER_TIMEOUT);
+        if others.is_none() && answered.as_ref().is_err_and(is_unknown_robot) {
+            (others, missing) = self.among_present(question, config);
+            if let Some(others) = &others {
+                answered = client.ask(others, WORKER_TIMEOUT);
             }
         }
         let answered = answered.map_err(|error| match error {
@@ -376,29 +371,37 @@ impl Args {
         Ok(FleetAnswer { config, tick, age_ns, reply, missing, budgets })
     }
 
+    /// The question about those of several robots that have a forecast, and the others. `None` if
+    /// none is missing or the forecasts cannot be read: the worker says what is wrong.
+    fn among_present(&self, question: &Question, config: &Config) -> (Option<Question>, Vec<u32>) {
+        let Ok(present) = present(config, "ask", BUDGET_TIMEOUT) else {
+            return (None, Vec::new());
+        };
+        let (others, missing) = self.among(question.clone(), |robot| present.contains(&robot));
+        ((!missing.is_empty()).then_some(others), missing)
+    }
+
     /// Splits several robots into a question about those that are there, and the others. If none
     /// is there, the question stays as it is and is refused.
     fn among(
         &self,
         mut question: Question,
-        mut is_there: impl FnMut(u32) -> anyhow::Result<bool>,
-    ) -> anyhow::Result<(Question, Vec<u32>)> {
-        let mut missing = BTreeSet::new();
-        if self.rank.is_empty() {
-            return Ok((question, Vec::new()));
-        }
-        for robot in robots(&question.plan) {
-            if !is_there(*robot)? {
-                missing.insert(*robot);
-            }
-        }
-        if missing.len() == robots(&question.plan).len() {
-            return Ok((question, Vec::new()));
+        is_there: impl Fn(u32) -> bool,
+    ) -> (Question, Vec<u32>) {
+        let asked = robots(&question.plan);
+        let missing: Vec<u32> = asked.iter().copied().filter(|robot| !is_there(*robot)).collect();
+        if self.rank.is_empty() || missing.len() == asked.len() {
+            return (question, Vec::new());
         }
         if let Plan::Follow { robots, .. } | Plan::Idle { robots, .. } = &mut question.plan {
-            robots.retain(|robot| !missing.contains(robot));
+            robots.retain(|robot| is_there(*robot));
         }
-        Ok((question, missing.into_iter().collect()))
+        (question, missing)
+    }
+
+    /// True if the robots are those of the fleet, not those that somebody named.
+    fn ranks_all(&self) -> bool {
+        self.rank.iter().any(|ranked| matches!(ranked, Ranked::All))
     }
 
     /// Joins the answers of all fleets, the best first. `missing` are the robots of no fleet.
@@ -416,7 +419,7 @@ impl Args {
         let (age_ns, tick) = oldest.unwrap_or_default();
         let replies = asked.into_iter().map(|one| {
             // All are those of the fleet, not those that the config lists.
-            let is_all = self.rank.iter().any(|ranked| matches!(ranked, Ranked::All));
+            let is_all = self.ranks_all();
             let is_named = |robot: &u32| {
                 let holds = |one: &Ranked| matches!(one, Ranked::Ids(ids) if ids.contains(robot));
                 self.rank.iter().any(holds)

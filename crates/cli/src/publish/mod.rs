@@ -22,12 +22,13 @@ pub(crate) struct Args {
 #[derive(Debug, Subcommand)]
 enum Verb {
     Sim(sim::Args),
-    Trial,
+    /// Play recorded trials as a fleet, one robot per file, then report
+    Trial(external::Args),
 }
 
 pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     match &args.verb {
         Verb::Sim(args) => sim::run(args, output),
-        Verb::Trial => external::run_lab("publish trial"),
+        Verb::Trial(_) => external::run_lab("publish trial"),
     }
 }

@@ -1,7 +1,6 @@
 //! Plays the messages of a capture at their due times.
 
 use std::path::Path;
-use std::time::Duration;
 
 use joulebus_bus::{Domain, NoWorker, clock, set_timer_slack};
 use joulebus_capture_format::{Clock, Entry, MessageKind};

@@ -2,14 +2,14 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime};
 
 use joulebus_testkit::eventually;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::fleet::{Exits as _, Fleet, Program, code, json, output, stderr, stdout};
+use crate::fleet::{Exits as _, Fleet, Program, at, code, json, output, stderr, stdout};
 
 const ROBOTS: usize = 3;
 
@@ -325,6 +325,21 @@ fn an_alarm_is_acknowledged_until_it_ends_and_the_capture_and_its_replay_state_b
     assert!(fleet.stale_files().is_empty());
 }
 
+/// A recording of 20 minutes, with a load of 6 W after the first half minute.
+fn loaded(fleet: &Fleet) -> PathBuf {
+    let mut text = "timestamp_s,power_mW,v_cmd_mps,omega_cmd_radps\n".to_owned();
+    for row in 0..36_000_u32 {
+        let (time_s, step) = (f64::from(row) / 30.0, f64::from(row));
+        let v = [0.05, 0.1, 0.15][row as usize / 60 % 3];
+        let load_mw = if row < 900 { 0.0 } else { 6_000.0 };
+        let power_mw = 3_000.0 + 4_000.0 * v + 60.0 * (0.7 * step).sin() + load_mw;
+        text += &format!("{time_s:.4},{power_mw:.1},{v},0.1\n");
+    }
+    let path = fleet.path("loaded.csv");
+    fs::write(&path, text).unwrap();
+    path
+}
+
 #[test]
 fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verified() {
     let fleet = Fleet::new();
@@ -338,7 +353,10 @@ fn a_load_that_is_the_new_normal_raises_no_alarm_any_more_and_its_tick_is_verifi
     recorder.wait_for_stderr("recording");
     let mut watcher = Program::start(fleet.joulebus("alarms --format json"));
     watcher.wait_for_stderr("alarms of fleet cli");
-    let source = Program::start(fleet.joulebus("publish sim --robots 3 --fault 1=load:6@8"));
+    // It follows the worker: no sample is lost on a busy machine.
+    let mut source = fleet.joulebus("publish trial --rate 10");
+    source.arg(at(&loaded(&fleet), "1"));
+    let source = Program::start(source);
     let shown = |program: &mut Program, expected: &[&str]| {
         eventually(&format!("{expected:?}"), || of_robot_1(program, "LevelHigh") == expected);
     };

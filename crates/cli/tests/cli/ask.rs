@@ -7,7 +7,7 @@ use joulebus_testkit::eventually;
 use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::fleet::{Exits as _, Fleet, Program, code, json, stderr, stdout};
+use crate::fleet::{Fleet, Program, code, json, stderr, stdout};
 
 /// A fleet whose first platform has a battery.
 fn fleet() -> Fleet {

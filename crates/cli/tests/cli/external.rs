@@ -5,7 +5,7 @@ use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
-use crate::fleet::{Exits as _, code, output, stderr, stdout};
+use crate::fleet::{Exits as _, code, is_built, output, stderr, stdout};
 use joulebus_testkit::assert_contains;
 
 /// The program in an otherwise empty directory.
@@ -101,31 +101,62 @@ fn the_verbs_on_recordings_are_one_executable_which_gets_all_arguments() {
 }
 
 #[test]
-fn help_and_usage_errors_need_no_executable() {
+fn a_program_shows_the_help_of_its_verbs_and_what_is_this_ones_needs_none() {
     let installed = Installed::new();
     for (words, exit, expected) in [
-        ("help serve", 0, "--token-file"),
-        ("bench --help", 0, "--learning"),
-        ("mission --help", 0, "--battery-wh"),
-        ("help train trials", 0, "--hold-out"),
-        ("publish --help", 0, "trial"),
-        ("publish trial", 2, "PATH"),
-        ("config init --from", 2, "--from"),
-        ("serve", 2, "--http"),
-        ("bench abacus", 2, "kernel"),
-        ("serve --http --format csv", 2, "csv went: the verb `cat`"),
+        ("help publish", 0, "trial"),
+        ("--help", 0, "Simulate missions"),
+        ("help serve", 1, "cargo build --release -p joulebus-serve"),
+        ("eval --help", 1, "cargo build --release -p joulebus-lab"),
+        ("completions bash", 0, "without the options of joulebus-lab"),
         ("cat run.mcap --topics x", 2, "cat went: `mcap cat FILE --json`"),
-        ("serve --port 0 --foxglove", 2, "--port went: captures open in Foxglove"),
-        ("serve --webhooks x", 2, "--webhooks went: `joulebus alarms --on-alarm`"),
-        ("bench latency --worker-cpus 1", 2, "--worker-cpus went: `taskset` and `chrt`"),
-        ("bench wait", 2, "wait went: docs/decisions/shared-memory-processes.md"),
+        ("serve --format csv", 2, "csv went: the verb `cat`"),
     ] {
         let ended = installed.joulebus("", words);
         assert_eq!(code(&ended), exit, "{words}");
         let printed = stdout(&ended) + &stderr(&ended);
         assert!(printed.contains(expected), "{words}: {printed}");
     }
-    let script = output(["completions", "bash"]);
-    let parts = "--per-robot | --learning | --false-alarms";
-    assert_contains(&stdout(&script), parts.split(" | "));
+    for program in ["serve", "link", "lab"] {
+        write_program(installed.0.path(), program, "exit 0");
+    }
+    for (words, program, expected) in [
+        ("help serve", "serve", "--help"),
+        ("serve -h", "serve", "-h"),
+        ("-v help link init", "link", "init --help"),
+        ("--format json help config init", "lab", "config init --help"),
+        ("help train trials", "lab", "train trials --help"),
+        ("mission --help", "lab", "mission --help"),
+    ] {
+        let program = installed.0.path().join(format!("joulebus-{program}"));
+        let ended = installed.joulebus("", words).exits(0);
+        assert_eq!(stdout(&ended), format!("{} {expected}\n", program.display()), "{words}");
+    }
+}
+
+/// The programs themselves, which other tests build.
+#[test]
+fn completions_have_the_options_of_every_program_and_help_says_what_each_verb_is_for() {
+    let script = stdout(&output(["completions", "bash"]));
+    let help = stdout(&output(["--help"])).split_whitespace().collect::<Vec<_>>().join(" ");
+    for (verb, option) in [
+        ("record", "--per-robot"),
+        ("train trials", "--hold-out"),
+        ("publish trial", "--frame-rate"),
+        ("config init", "--train"),
+        ("serve", "--token-file"),
+        ("bridge", "--broker"),
+        ("link", "--check"),
+        ("bench", "--learning"),
+    ] {
+        if !is_built(verb) {
+            continue;
+        }
+        assert!(script.contains(option), "{verb} {option}");
+        let own = stdout(&output(verb.split(' ').chain(["--help"])));
+        assert!(own.contains(option), "{verb}: {own}");
+        // Verbs of verbs are listed with those.
+        let about = own.split("\n\n").next().unwrap().replace('\n', " ");
+        assert!(verb.contains(' ') || help.contains(&about), "{verb}: {about}");
+    }
 }

@@ -14,8 +14,7 @@ fn every_sample_played_as_fast_as_possible_is_accepted() {
     let files: Vec<_> =
         (0..robots).map(|robot| at(&fleet.recording(&format!("{robot}.csv"), rows), "3")).collect();
     let worker = fleet.worker();
-    let mut play =
-        fleet.joulebus("publish trial --rate max --loop=2 --format json");
+    let mut play = fleet.joulebus("publish trial --rate max --loop=2 --format json");
     let played = play.args(&files).output().unwrap().exits(0);
     let played = json(&played);
     let sent = u64::from(rows * robots * passes);
@@ -97,8 +96,7 @@ fn assert_lost_at_most_the_window(is_paused: bool) {
     let fleet = Fleet::new();
     let file = fleet.recording("a.csv", 600);
     let worker = fleet.worker();
-    let mut play =
-        fleet.joulebus("publish trial --rate max --window 3 --format json");
+    let mut play = fleet.joulebus("publish trial --rate max --window 3 --format json");
     play.arg(at(&file, "0"));
     let mut play = Program::start(play);
     // Each attempt has a timeout of three seconds.

@@ -94,6 +94,11 @@ fn every_verb_has_a_manual_page() {
         let text = std::fs::read_to_string(folder.join(page)).unwrap();
         assert!(text.contains(".SH NAME") && text.contains(".SH OPTIONS"), "{page}: {text}");
     }
+    for page in std::fs::read_dir(&folder).unwrap() {
+        let page = page.unwrap().path();
+        let text = std::fs::read_to_string(&page).unwrap();
+        assert!(text.contains("\n  joulebus "), "{}: no example", page.display());
+    }
 }
 
 /// The units, and their maximum exposure by `systemd-analyze security`, in tenths of a point of 10.

@@ -385,8 +385,8 @@ impl fmt::Display for Caveats {
         match (self.steps_outside_training, self.outside) {
             (0, _) => {}
             (steps, None) => parts.push(format!(
-                "{steps} steps are outside the model's training data: they count with the \
-                    platform's limits of power"
+                "the model does not know the energy of {steps} steps: they count with the platform's \
+                 limits of power"
             )),
             (steps, Some(outside)) => parts.push(outside_words(steps, &outside)),
         }

@@ -19,17 +19,3 @@ fn main() -> ExitCode {
     joulebus_bus::trace_iceoryx2();
     joulebus_program::verb::main("bridge", joulebus_bus::check_stack(), bridge::run)
 }
-
-#[cfg(test)]
-mod tests {
-    use clap::Args as _;
-
-    use crate::arguments::BridgeArguments;
-
-    #[test]
-    fn the_main_program_shows_these_options() {
-        let verb = BridgeArguments::augment_args(clap::Command::new("bridge"));
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cli/verbs/bridge.json");
-        joulebus_program::described::check(file.as_ref(), &[verb]);
-    }
-}

@@ -45,17 +45,6 @@ fn main() -> ExitCode {
 mod tests {
     use std::path::Path;
 
-    use clap::Args as _;
-
-    use crate::arguments::LinkArguments;
-
-    #[test]
-    fn the_main_program_shows_these_options() {
-        let verb = LinkArguments::augment_args(clap::Command::new("link"));
-        let file = concat!(env!("CARGO_MANIFEST_DIR"), "/../../cli/verbs/link.json");
-        joulebus_program::described::check(file.as_ref(), &[verb]);
-    }
-
     #[test]
     fn the_seed_of_the_fuzz_target_is_the_one_that_tests_take() {
         let seeds = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../fuzz/seeds/link");

@@ -1,332 +1,130 @@
-//! The options of verbs that are separate programs, as data.
+//! The verbs and options of a program, for the completions and manual pages of `joulebus`.
 //!
-//! A program writes a description of its options ([`check`]). `joulebus` shows them in its help,
-//! completions and manual pages without that program's code, even if the program is not built. The
-//! options themselves stand only beside the verb.
+//! Each program parses its own arguments and shows its own help. `joulebus` asks it for the names
+//! ([`answer`]). So options stand only beside their verb, and no file repeats them.
 
 use std::path::Path;
+use std::process::{self, ExitCode, Stdio};
 
-use clap::builder::{PossibleValue, PossibleValuesParser, ValueRange};
-use clap::{Arg, ArgAction, ArgGroup, Command, ValueHint, value_parser};
+use anyhow::Context as _;
+use clap::builder::PossibleValuesParser;
+use clap::{Arg, ArgAction, Command, ValueHint};
 use serde::{Deserialize, Serialize};
+
+use crate::exit;
+use crate::output::text;
+
+/// The only argument of a process that is asked for its verbs.
+const REQUEST: &str = "--describe-verbs";
 
 /// A verb with its options.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
 pub struct Verb {
     name: String,
-    #[serde(default, skip_serializing_if = "is_default")]
-    about: Option<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    long_about: Option<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    after_help: Option<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
+    about: String,
     options: Vec<Described>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    required_groups: Vec<Group>,
-    #[serde(default, skip_serializing_if = "is_default")]
     verbs: Vec<Verb>,
 }
 
 /// An option, or an argument with a position.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 struct Described {
     id: String,
-    #[serde(default, skip_serializing_if = "is_default")]
     short: Option<char>,
-    #[serde(default, skip_serializing_if = "is_default")]
     long: Option<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    help: Option<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    long_help: Option<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    value_names: Vec<String>,
-    /// Minimum and maximum number of values. `None`: one.
-    #[serde(default, skip_serializing_if = "is_default")]
-    values: Option<(usize, Option<usize>)>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    delimiter: Option<char>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    defaults: Vec<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    possible: Vec<Possible>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    conflicts: Vec<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    is_flag: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
+    help: String,
+    /// The values that it may have. Empty: any, or none.
+    possible: Vec<String>,
+    takes_value: bool,
     is_path: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
-    repeats: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
-    required: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
-    hidden: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
-    hides_default: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
-    require_equals: bool,
-    #[serde(default, skip_serializing_if = "is_default")]
-    last: bool,
+    is_last: bool,
 }
 
-/// A value that an option may have.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Possible {
-    name: String,
-    #[serde(default, skip_serializing_if = "is_default")]
-    help: Option<String>,
+/// Prints the verbs if this process was started for that, and returns its exit code.
+pub fn answer(verbs: impl FnOnce() -> Vec<Command>) -> Option<ExitCode> {
+    let mut arguments = std::env::args_os().skip(1);
+    if arguments.next()? != REQUEST || arguments.next().is_some() {
+        return None;
+    }
+    let verbs: Vec<Verb> = verbs().iter().map(Verb::new).collect();
+    let told = serde_json::to_string(&verbs).context("the verbs are plain data");
+    Some(exit::code(told.and_then(|told| text(&told)).map(|()| exit::Outcome::Done)))
 }
 
-/// Options of which one is required.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Group {
-    id: String,
-    options: Vec<String>,
-    #[serde(default, skip_serializing_if = "is_default")]
-    multiple: bool,
-}
-
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
+/// The verbs of another program of this release.
+///
+/// # Errors
+/// It cannot be started, or is of another release.
+pub fn ask(program: &Path) -> anyhow::Result<Vec<Verb>> {
+    let failed = || format!("cannot ask {} for its verbs", program.display());
+    let mut asked = process::Command::new(program);
+    let asked = asked.arg(REQUEST).stdin(Stdio::null()).output().with_context(failed)?;
+    serde_json::from_slice(&asked.stdout).with_context(failed)
 }
 
 impl Verb {
-    /// Describes a verb, or a whole program.
-    #[must_use]
-    pub fn new(command: &Command) -> Self {
-        let text = |text: Option<&clap::builder::StyledStr>| text.map(ToString::to_string);
-        let groups = command.get_groups().filter(|group| group.is_required_set());
+    fn new(command: &Command) -> Self {
         let shown = command.get_subcommands().filter(|verb| !verb.is_hide_set());
+        let options = command.get_arguments().filter(|option| !option.is_hide_set());
         Self {
             name: command.get_name().to_owned(),
-            about: text(command.get_about()),
-            long_about: text(command.get_long_about()),
-            after_help: text(command.get_after_help()),
-            options: command
-                .get_arguments()
-                .map(|option| Described::new(command, option))
-                .collect(),
-            required_groups: groups.map(Group::new).collect(),
+            about: command.get_about().map(ToString::to_string).unwrap_or_default(),
+            options: options.map(Described::new).collect(),
             verbs: shown.map(Self::new).collect(),
         }
     }
 
-    /// The verb as a parser that accepts everything that the program may accept: values are texts,
-    /// and the program checks dependencies between options.
-    #[must_use]
-    pub fn command(&'static self) -> Command {
-        let mut command = Command::new(self.name.as_str())
+    /// The verb as a command that clap completes. It does not parse as the program does.
+    fn command(&'static self) -> Command {
+        Command::new(self.name.as_str())
+            .about(self.about.as_str())
             .args(self.options.iter().map(Described::arg))
-            .groups(self.required_groups.iter().map(Group::group))
-            .subcommands(self.verbs.iter().map(Self::command));
-        let is_required = self.options.iter().any(|option| option.required);
-        if !self.verbs.is_empty() && is_required {
-            command = command.args_conflicts_with_subcommands(true).subcommand_negates_reqs(true);
-        } else if !self.verbs.is_empty() {
-            command = command.subcommand_required(true).arg_required_else_help(true);
-        }
-        if let Some(about) = &self.about {
-            command = command.about(about.as_str());
-        }
-        if let Some(about) = &self.long_about {
-            command = command.long_about(about.as_str());
-        }
-        if let Some(help) = &self.after_help {
-            command = command.after_help(help.as_str());
-        }
-        command
+            .subcommands(self.verbs.iter().map(Self::command))
     }
 
-    /// Replaces verbs of `command` that have no options of their own by those described.
+    /// Replaces the verbs of `command` that are other programs' by those described.
     #[must_use]
     pub fn complete(verbs: &'static [Self], command: Command) -> Command {
-        command.mut_subcommands(|own| {
-            let Some(described) = verbs.iter().find(|verb| verb.name == own.get_name()) else {
-                return own;
-            };
-            match own.has_subcommands() {
-                true => Self::complete(&described.verbs, own),
-                false => described.command(),
-            }
+        command.mut_subcommands(|own| match verbs.iter().find(|verb| verb.name == own.get_name()) {
+            Some(described) if own.has_subcommands() => Self::complete(&described.verbs, own),
+            Some(described) => described.command(),
+            None => own,
         })
     }
 }
 
 impl Described {
-    fn new(command: &Command, option: &Arg) -> Self {
-        let text = |text: Option<&clap::builder::StyledStr>| text.map(ToString::to_string);
-        let is_flag = !option.get_action().takes_values();
-        let values = option.get_num_args().map(|range| {
-            let most = range.max_values();
-            (range.min_values(), (most < usize::MAX).then_some(most))
-        });
-        let conflicts = command.get_arg_conflicts_with(option);
+    fn new(option: &Arg) -> Self {
+        let possible = option.get_possible_values();
         Self {
             id: option.get_id().to_string(),
             short: option.get_short(),
             long: option.get_long().map(str::to_owned),
-            help: text(option.get_help()),
-            long_help: text(option.get_long_help()),
-            value_names: option
-                .get_value_names()
-                .unwrap_or_default()
-                .iter()
-                .map(ToString::to_string)
-                .collect(),
-            values,
-            delimiter: option.get_value_delimiter(),
-            defaults: option
-                .get_default_values()
-                .iter()
-                .filter(|_| !is_flag)
-                .map(|value| value.display().to_string())
-                .collect(),
-            possible: option
-                .get_possible_values()
-                .iter()
-                .map(|value| Possible {
-                    name: value.get_name().to_owned(),
-                    help: text(value.get_help()),
-                })
-                .collect(),
-            conflicts: conflicts.iter().map(|other| other.get_id().to_string()).collect(),
-            is_flag,
+            help: option.get_help().map(ToString::to_string).unwrap_or_default(),
+            possible: possible.iter().map(|value| value.get_name().to_owned()).collect(),
+            takes_value: option.get_action().takes_values(),
             is_path: option.get_value_hint() == ValueHint::AnyPath,
-            repeats: matches!(option.get_action(), ArgAction::Append | ArgAction::Count),
-            required: option.is_required_set(),
-            hidden: option.is_hide_set(),
-            hides_default: option.is_hide_default_value_set(),
-            require_equals: option.is_require_equals_set(),
-            last: option.is_last_set(),
+            is_last: option.is_last_set(),
         }
     }
 
     fn arg(&'static self) -> Arg {
-        let mut arg = Arg::new(self.id.as_str())
-            .action(match (self.is_flag, self.repeats) {
-                (true, true) => ArgAction::Count,
-                (true, false) => ArgAction::SetTrue,
-                (false, true) => ArgAction::Append,
-                (false, false) => ArgAction::Set,
-            })
-            .conflicts_with_all(self.conflicts.iter().map(String::as_str))
-            .required(self.required)
-            .hide(self.hidden)
-            .hide_default_value(self.hides_default)
-            .require_equals(self.require_equals)
-            .last(self.last);
-        if let Some(short) = self.short {
-            arg = arg.short(short);
-        }
-        if let Some(long) = &self.long {
-            arg = arg.long(long.as_str());
-        }
-        if let Some(help) = &self.help {
-            arg = arg.help(help.as_str());
-        }
-        if let Some(help) = &self.long_help {
-            arg = arg.long_help(help.as_str());
-        }
-        if self.is_flag {
-            return arg;
-        }
-        if !self.value_names.is_empty() {
-            arg = arg.value_names(self.value_names.iter().map(String::as_str));
-        }
-        if let Some((least, most)) = self.values {
-            arg = arg.num_args(match most {
-                Some(most) => ValueRange::new(least..=most),
-                None => ValueRange::new(least..),
-            });
-        }
-        if let Some(delimiter) = self.delimiter {
-            arg = arg.value_delimiter(delimiter);
+        let mut arg = Arg::new(self.id.as_str()).help(self.help.as_str()).last(self.is_last);
+        arg = match (self.short, &self.long) {
+            (Some(short), Some(long)) => arg.short(short).long(long.as_str()),
+            (Some(short), None) => arg.short(short),
+            (None, Some(long)) => arg.long(long.as_str()),
+            (None, None) => arg,
+        };
+        if !self.takes_value {
+            return arg.action(ArgAction::SetTrue);
         }
         if !self.possible.is_empty() {
-            let values = self.possible.iter().map(|value| {
-                let shown = PossibleValue::new(value.name.as_str());
-                match &value.help {
-                    Some(help) => shown.help(help.as_str()),
-                    None => shown,
-                }
-            });
+            let values = self.possible.iter().map(String::as_str);
             arg = arg.value_parser(PossibleValuesParser::new(values));
-        } else if self.is_path {
-            arg = arg.value_parser(value_parser!(std::path::PathBuf));
-        } else {
-            arg = arg.value_parser(value_parser!(std::ffi::OsString));
         }
-        arg.default_values(self.defaults.iter().map(String::as_str))
-    }
-}
-
-impl Group {
-    fn new(group: &ArgGroup) -> Self {
-        Self {
-            id: group.get_id().to_string(),
-            options: group.get_args().map(ToString::to_string).collect(),
-            multiple: group.clone().is_multiple(),
-        }
-    }
-
-    fn group(&'static self) -> ArgGroup {
-        ArgGroup::new(self.id.as_str())
-            .args(self.options.iter().map(String::as_str))
-            .required(true)
-            .multiple(self.multiple)
-    }
-}
-
-/// For a program's tests: checks that `joulebus` shows the program's options. `joulebus` has the
-/// description in `file`, below `crates/cli/verbs`, written again with `JOULEBUS_WRITE=1`. Without
-/// that folder beside the program's crate, only the program itself is checked.
-///
-/// # Panics
-/// The description is another one, or help made of it differs from the program's own.
-pub fn check(file: &Path, verbs: &[Command]) {
-    let described: Vec<Verb> = verbs.iter().map(Verb::new).collect();
-    let text = serde_json::to_string(&described).expect("it is plain data");
-    // A line for each verb, option and value. Quotes within texts have backslashes.
-    let text = ["{\"name\":", "{\"id\":"]
-        .iter()
-        .fold(text, |text, begin| text.replace(begin, &format!("\n{begin}")))
-        + "\n";
-    let again: Vec<Verb> = serde_json::from_str(&text).expect("it was just written");
-    assert_eq!(again, described);
-    for (verb, own) in Vec::leak(again).iter().zip(verbs) {
-        // All versions are equal. The program's version is added where it is shown.
-        let mut own = own.clone().version(clap::builder::Resettable::Reset);
-        compare(&mut verb.command(), &mut own, "");
-    }
-    if std::env::var_os("JOULEBUS_WRITE").is_some() {
-        std::fs::write(file, &text).expect("the description can be written");
-    }
-    if file.parent().is_some_and(Path::is_dir) {
-        let kept = std::fs::read_to_string(file).unwrap_or_default();
-        let shown = file.display();
-        assert!(kept == text, "{shown} is stale: run this test again with JOULEBUS_WRITE=1");
-    }
-}
-
-/// Panics unless both show the same, and so do their verbs.
-fn compare(made: &mut Command, own: &mut Command, within: &str) {
-    let name = format!("{within} {}", own.get_name());
-    made.build();
-    own.build();
-    let shown = |command: &mut Command| {
-        let helps = [command.render_help(), command.render_long_help()];
-        helps.map(|help| help.to_string())
-    };
-    assert_eq!(shown(made), shown(own), "{name}");
-    let others = own.get_subcommands_mut().filter(|verb| !verb.is_hide_set());
-    for (made, own) in made.get_subcommands_mut().zip(others) {
-        compare(made, own, &name);
+        let hint = if self.is_path { ValueHint::AnyPath } else { ValueHint::Unknown };
+        arg.value_hint(hint)
     }
 }
 
@@ -335,33 +133,18 @@ mod tests {
     use super::*;
     use clap::CommandFactory as _;
 
-    /// Every form of an option.
     #[derive(Debug, clap::Parser)]
-    #[command(name = "verb", after_help = "Examples:\n  \"joulebus\" verb", group = ArgGroup::new("one").required(true).args(["a", "b"]))]
+    #[command(name = "verb", about = "Do something")]
     struct Everything {
         /// A flag
         #[arg(short, long)]
-        a: bool,
-        /// Repeated values
-        ///
-        /// And what they are.
-        #[arg(long, value_name = "X,…", value_delimiter = ',', conflicts_with = "a")]
-        b: Vec<String>,
-        /// Optional
-        #[arg(long, num_args = 0..=1, require_equals = true, default_missing_value = "1")]
-        c: Option<u8>,
+        all: bool,
         /// One of
-        #[arg(long, value_parser = ["x", "y"], default_value = "x", hide_default_value = true)]
-        d: String,
+        #[arg(long, value_parser = ["x", "y"], default_value = "x")]
+        one_of: String,
         /// Hidden
         #[arg(long, hide = true)]
-        e: bool,
-        /// With a default
-        #[arg(long, default_value_t = 0.25)]
-        f: f64,
-        /// Two
-        #[arg(long, num_args = 2, value_names = ["FORMAT", "DIR"])]
-        g: Vec<String>,
+        hidden: bool,
         /// Paths
         #[arg(required = true)]
         paths: Vec<std::path::PathBuf>,
@@ -371,33 +154,22 @@ mod tests {
     }
 
     #[test]
-    fn what_is_described_shows_the_same_help_and_accepts_what_the_program_does() {
-        check_shown(Everything::command());
-        let verbs: &'static [Verb] = Vec::leak(vec![Verb::new(&Everything::command())]);
-        for (words, accepted) in [
-            (vec!["p", "-a", "--c", "--d", "y"], true),
-            (vec!["p", "q", "--b", "1,2", "--g", "a", "b", "--", "-x"], true),
-            (vec!["-a"], false),
-            (vec!["p"], false),
-            (vec!["p", "-a", "--b", "1"], false),
-            (vec!["p", "-a", "--d", "z"], false),
-            (vec!["p", "-a", "--h"], false),
-        ] {
-            let words = || ["verb"].into_iter().chain(words.iter().copied());
-            let own = Everything::command().try_get_matches_from(words()).is_ok();
-            let made = verbs[0].command().try_get_matches_from(words()).is_ok();
-            assert_eq!(
-                (own, made),
-                (accepted, accepted),
-                "{words:?}",
-                words = words().collect::<Vec<_>>()
-            );
-        }
-    }
-
-    fn check_shown(mut command: Command) {
-        let verbs = Vec::leak(vec![Verb::new(&command)]);
-        compare(&mut verbs[0].command(), &mut command, "");
+    fn what_a_program_tells_has_its_shown_options_with_their_values() {
+        let told = serde_json::to_string(&[Verb::new(&Everything::command())]).unwrap();
+        let verbs: Vec<Verb> = serde_json::from_str(&told).unwrap();
+        let mut command = Vec::leak(verbs)[0].command();
+        command.build();
+        assert_eq!(command.get_about().map(ToString::to_string).as_deref(), Some("Do something"));
+        let find = |id: &str| command.get_arguments().find(|option| option.get_id() == id);
+        assert!(find("hidden").is_none());
+        let all = find("all").unwrap();
+        assert_eq!((all.get_short(), all.get_long()), (Some('a'), Some("all")));
+        assert!(!all.get_action().takes_values());
+        let values = find("one_of").unwrap().get_possible_values();
+        let names: Vec<&str> = values.iter().map(|value| value.get_name()).collect();
+        assert_eq!(names, ["x", "y"]);
+        assert_eq!(find("paths").unwrap().get_value_hint(), ValueHint::AnyPath);
+        assert!(find("rest").unwrap().is_last_set());
     }
 
     #[test]

@@ -35,8 +35,7 @@ const MAPPING: &str = "a file of --mapping states it. `joulebus import --help` s
 const IDS: &str =
     "PATH@ID gives the ids from ID on, and PATH@PLATFORM those of a platform: recordings/@100";
 /// Lines that are no rows.
-const WHOLE: &str =
-    "`joulebus data convert FILE --whole-rows --out WHOLE.csv` writes the rows, which every verb reads";
+const WHOLE: &str = "`joulebus data convert FILE --whole-rows --out WHOLE.csv` writes the rows, which every verb reads";
 /// Threads of a training.
 const THREADS: &str =
     "a training takes the processors that it may use: `taskset -c 0-3 joulebus train …`";

@@ -5,6 +5,7 @@ use std::process::ExitCode;
 
 use clap::FromArgMatches as _;
 
+use crate::described;
 use crate::exit::{self, Outcome};
 use crate::options::GlobalOptions;
 use crate::output::Output;
@@ -18,6 +19,9 @@ pub fn main<A: clap::Args, E: Into<anyhow::Error>>(
     ready: Result<(), E>,
     work: impl FnOnce(&A, Output) -> anyhow::Result<Outcome>,
 ) -> ExitCode {
+    if let Some(answered) = described::answer(|| vec![A::augment_args(clap::Command::new(verb))]) {
+        return answered;
+    }
     if let Err(error) = ready {
         return exit::code(Err(error.into()));
     }

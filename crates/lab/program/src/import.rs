@@ -130,7 +130,11 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         sources.push(if bag::is_bag(file) {
             read_bag(file, &mapping, &mut recordings)?
         } else {
-            read_trials(file, &args.columns.map().whole_rows(args.lines.whole_rows), &mut recordings)?
+            read_trials(
+                file,
+                &args.columns.map().whole_rows(args.lines.whole_rows),
+                &mut recordings,
+            )?
         });
     }
     let mut report = ImportReport { sources, implausible: Vec::new(), written: Vec::new() };
