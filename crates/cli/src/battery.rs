@@ -42,7 +42,7 @@ const PATIENCE: Duration = Duration::from_millis(2_500);
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
-    /// Only this robot
+    /// Only this robot, of which --full, --charge and --exchanged state something
     #[arg(value_name = "ROBOT")]
     robot: Option<u32>,
     /// Its battery is full

@@ -11,6 +11,7 @@ use joulebus_program::output;
     joulebus completions fish > ~/.config/fish/completions/joulebus.fish\n  \
     joulebus completions zsh > \"${fpath[1]}/_joulebus\"")]
 pub(crate) struct Args {
+    /// The shell
     shell: Shell,
 }
 

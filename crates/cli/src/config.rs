@@ -62,7 +62,7 @@ enum Verb {
     /// Write the JSON Schema of a kind of file, with which editors complete and check it
     #[command(after_help = "Example:\n  joulebus config schema fleet > fleet.schema.json")]
     Schema {
-        /// The kind
+        /// The kind of file
         #[arg(value_name = "KIND", value_parser = File::ALL.map(File::name))]
         kind: String,
     },

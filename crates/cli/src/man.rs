@@ -72,7 +72,7 @@ fn page(name: &str, help: &str) -> String {
     let lines: Vec<&str> = rest.lines().collect();
     for (at, line) in lines.iter().enumerate() {
         let heads_list = lines.get(at + 1).is_some_and(|next| next.starts_with("  "));
-        let heading = line.strip_suffix(':').filter(|title| title.split(' ').count() < 4);
+        let heading = line.strip_suffix(':').filter(|title| title.split(' ').count() < 5);
         if let Some(usage) = line.strip_prefix("Usage: ") {
             page += &format!(".SH SYNOPSIS\n.nf\n{}\n", escaped(usage));
             (is_prose, is_filled) = (false, false);

@@ -89,7 +89,7 @@ pub(crate) struct Args {
     /// the one that other verbs find]
     #[arg(long, value_name = "FILE")]
     config: Vec<PathBuf>,
-    /// The robot
+    /// The robot that the plan is for
     #[arg(long, value_name = "ID")]
     robot: Option<u32>,
     /// Several robots: ids, ranges as 0-19, or all. The answer lists the best first: by verdict,

@@ -50,13 +50,13 @@ const POLL_INTERVAL: Duration = Duration::from_millis(10);
     If the program joulebus-serve is installed, the demo prints the address of a live page. Exit \
     code 3 if a sample that was sent is not accounted for.")]
 pub(crate) struct Args {
-    /// Simulated GTernal robots
+    /// Number of simulated GTernal robots
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     robots: u32,
     /// Seed of the robots, their missions and their noise
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
-    /// Duration of publishing, s
+    /// How long the robots drive, s
     #[arg(long, value_name = "SECONDS", default_value_t = 20.0, value_parser = duration)]
     duration: f64,
     /// The capture to write [default: joulebus-demo-<time>.mcap in the current directory]

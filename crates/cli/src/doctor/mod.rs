@@ -28,7 +28,7 @@ pub(crate) struct Args {
     files: Vec<PathBuf>,
     #[command(flatten)]
     config: ConfigFile,
-    /// Repair what can be repaired
+    /// Remove the files of dead processes, and correct the modes of directories
     #[arg(long)]
     fix: bool,
 }

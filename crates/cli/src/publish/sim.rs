@@ -31,7 +31,7 @@ use super::fault::{self, FaultArgument};
 pub(crate) struct Args {
     #[command(flatten)]
     config: ConfigFile,
-    /// Robots
+    /// Number of robots
     #[arg(long, value_name = "N", default_value_t = 20, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     robots: u32,
     /// Seed of the robots and their motion

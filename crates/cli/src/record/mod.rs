@@ -79,7 +79,7 @@ pub(crate) struct Args {
     /// Also a channel for each robot's sample, forecast, diagnostics and budget, for plots
     #[arg(long)]
     per_robot: bool,
-    /// Trade-off between work and file size
+    /// Trade-off between work and file size: fastwrite, lz4, zstd_fast or zstd_small
     #[arg(long, value_name = "PRESET", default_value = Preset::default().name(), value_parser = preset)]
     preset: Preset,
     /// Maximum file size, after which the next file begins, bytes (0: unlimited)

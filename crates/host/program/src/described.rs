@@ -59,7 +59,8 @@ pub fn ask(program: &Path) -> anyhow::Result<Vec<Verb>> {
     let failed = || format!("cannot ask {} for its verbs", program.display());
     let mut asked = process::Command::new(program);
     let asked = asked.arg(REQUEST).stdin(Stdio::null()).output().with_context(failed)?;
-    serde_json::from_slice(&asked.stdout).with_context(failed)
+    let verbs = serde_json::from_slice(&asked.stdout).ok().filter(|_| asked.status.success());
+    verbs.with_context(|| format!("{} is of another release: build it again", program.display()))
 }
 
 impl Verb {
