@@ -17,6 +17,7 @@ use joulebus_energy::{
 };
 use joulebus_predictor::{FeatureSet, LAGS};
 use joulebus_statistics::metrics::quantile;
+use nalgebra::{SMatrix, SVector};
 
 use crate::drives::{PRIOR_DRIVES, Run, student};
 use crate::ridge::{recorded_w, ridge};
@@ -42,6 +43,12 @@ const FEWEST: (usize, usize) = (30, 4);
 pub(crate) const FEWEST_RECORDINGS: usize = 4;
 /// Recordings from which on the errors among them are taken as they are.
 const MANY_RECORDINGS: usize = 16;
+
+// Of static size: nalgebra multiplies matrices of dynamic size by `matrixmultiply`, which fuses
+// multiply-adds where the CPU can. A fit has the same bits on every machine.
+type Terms = SVector<f64, TERMS>;
+type Levels = SVector<f64, LEVELS>;
+
 /// Fits the energy model, which reads commands if the network does. `None` if the recordings are
 /// too short, or their mean power is not above 0.
 pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<EnergyModel> {
@@ -71,7 +78,7 @@ pub fn energy_model(dataset: &Dataset, feature_set: FeatureSet) -> Option<Energy
             let origins = Origins::new(&all, &command, horizon_s.into(), period_s);
             Known {
                 added_share: crossed.with.added as f32,
-                weights: origins.weights(&crossed.with).map(|weight| weight as f32),
+                weights: origins.weights(&crossed.with).map(|weight| weight as f32).into(),
                 errors: crossed.quantiles(mean_share, mean_w, &levels),
             }
         })
@@ -304,26 +311,22 @@ impl CommandFit {
         }
         model.half_v_mps = half(runs, 0);
         model.half_omega_radps = half(runs, 1);
-        let blocks = blocks(runs, &model, period_s);
+        let mut blocks = blocks(runs, &model, period_s);
         let scales = scales(&blocks, rows);
-        let mut weights = [0.0; TERMS];
+        let all = blocks.iter_mut().flat_map(|block| &mut block.rows);
+        all.for_each(|(terms, _)| terms.component_div_assign(&scales));
+        let mut weights = Terms::zeros();
         weights[0] = mean_w;
         for _ in 0..8 {
-            weights = Normal::new(&blocks, &weights, &scales, mean_w).solve(&weights);
-            let fitted: f64 = blocks
-                .iter()
-                .flat_map(|block| &block.rows)
-                .map(|(terms, _)| dot(&weights, terms, &scales))
-                .sum();
+            weights = Normal::new(&blocks, &weights, mean_w).solve(weights);
+            let fitted: f64 = blocks.iter().map(|block| block.sum_w(&weights)).sum();
             let scale = mean_w * rows as f64 / fitted;
             if !scale.is_finite() {
                 return Some(Self { model });
             }
-            weights = weights.map(|weight| weight * scale);
+            weights *= scale;
         }
-        for term in 0..TERMS {
-            model.weights[term] = (weights[term] / scales[term]) as f32;
-        }
+        model.weights = weights.component_div(&scales).map(|weight| weight as f32).into();
         // A robot draws power at rest. A model without that would divide by zero.
         model.weights[0] = model.weights[0].max(0.02 * mean_w as f32);
         Some(Self { model })
@@ -333,9 +336,8 @@ impl CommandFit {
         if !self.model.reads_commands() {
             return self.model.weights[0].into();
         }
-        let terms = self.model.terms(*motion);
-        let weighted = self.model.weights.iter().zip(terms);
-        weighted.map(|(weight, term)| f64::from(*weight) * f64::from(term)).sum()
+        let terms = Terms::from(self.model.terms(*motion).map(f64::from));
+        Terms::from(self.model.weights.map(f64::from)).dot(&terms)
     }
 }
 
@@ -350,14 +352,20 @@ fn half(runs: &[&Run], column: usize) -> f32 {
 
 /// Rows with a common level: terms and power.
 struct Block {
-    rows: Vec<([f64; TERMS], f64)>,
+    rows: Vec<(Terms, f64)>,
+}
+
+impl Block {
+    /// Sum of the fitted powers, W.
+    fn sum_w(&self, weights: &Terms) -> f64 {
+        self.rows.iter().map(|(terms, _)| weights.dot(terms)).sum()
+    }
 }
 
 fn blocks(runs: &[&Run], model: &CommandModel, period_s: f64) -> Vec<Block> {
     let of_run = |run: &&Run| {
-        let rows = run.motion.iter().zip(&run.power_w);
-        let rows: Vec<([f64; TERMS], f64)> =
-            rows.map(|(motion, power_w)| (model.terms(*motion).map(f64::from), *power_w)).collect();
+        let terms = run.motion.iter().map(|motion| model.terms(*motion).map(f64::from).into());
+        let rows: Vec<(Terms, f64)> = terms.zip(run.power_w.iter().copied()).collect();
         let count = (rows.len() as f64 * period_s / BLOCK_S).round().max(1.0) as usize;
         let length = rows.len().div_ceil(count).max(1);
         rows.chunks(length).map(|rows| Block { rows: rows.to_vec() }).collect::<Vec<_>>()
@@ -366,68 +374,51 @@ fn blocks(runs: &[&Run], model: &CommandModel, period_s: f64) -> Vec<Block> {
 }
 
 /// Root mean square of each term, 1 for one that is always 0: fits do not depend on units.
-fn scales(blocks: &[Block], rows: usize) -> [f64; TERMS] {
-    std::array::from_fn(|term| {
-        let values = blocks.iter().flat_map(|block| &block.rows).map(|(terms, _)| terms[term]);
-        let mean = values.map(|value| value * value).sum::<f64>() / rows as f64;
-        if mean > 1e-18 { libm::sqrt(mean) } else { 1.0 }
-    })
-}
-
-fn dot(weights: &[f64; TERMS], terms: &[f64; TERMS], scales: &[f64; TERMS]) -> f64 {
-    (0..TERMS).map(|term| weights[term] * terms[term] / scales[term]).sum()
+fn scales(blocks: &[Block], rows: usize) -> Terms {
+    let all = blocks.iter().flat_map(|block| &block.rows);
+    let squares: Terms = all.map(|(terms, _)| terms.component_mul(terms)).sum();
+    (squares / rows as f64).map(|mean| if mean > 1e-18 { libm::sqrt(mean) } else { 1.0 })
 }
 
 /// Normal equations of the weights.
 struct Normal {
-    left: [[f64; TERMS]; TERMS],
-    right: [f64; TERMS],
+    left: SMatrix<f64, TERMS, TERMS>,
+    right: Terms,
 }
 
 impl Normal {
     /// Scales each block by its level under the weights so far.
-    fn new(blocks: &[Block], weights: &[f64; TERMS], scales: &[f64; TERMS], mean_w: f64) -> Self {
+    fn new(blocks: &[Block], weights: &Terms, mean_w: f64) -> Self {
         /// Against terms that vary together, in shares of the mean square.
         const RIDGE: f64 = 1e-3;
-        let mut normal = Self { left: [[0.0; TERMS]; TERMS], right: [0.0; TERMS] };
+        let (mut left, mut right) = (SMatrix::<f64, TERMS, TERMS>::zeros(), Terms::zeros());
         let (mut rows, mut squares) = (0.0, 0.0);
         for block in blocks {
             let count = block.rows.len() as f64;
             let read_w = block.rows.iter().map(|(_, power_w)| power_w).sum::<f64>() / count;
-            let predicted = block.rows.iter().map(|(terms, _)| dot(weights, terms, scales));
-            let predicted_w = predicted.sum::<f64>() / count;
+            let predicted_w = block.sum_w(weights) / count;
             let level = ((read_w + 0.02 * mean_w) / (predicted_w + 0.02 * mean_w)).max(0.0);
             for (terms, power_w) in &block.rows {
-                let scaled: [f64; TERMS] =
-                    std::array::from_fn(|term| level * terms[term] / scales[term]);
-                for one in 0..TERMS {
-                    normal.right[one] += scaled[one] * power_w;
-                    for other in 0..TERMS {
-                        normal.left[one][other] += scaled[one] * scaled[other];
-                    }
-                }
+                left.ger(level * level, terms, terms, 1.0);
+                right.axpy(level * power_w, terms, 1.0);
             }
             (rows, squares) = (rows + count, squares + level * level * count);
         }
         for term in 1..TERMS {
-            normal.left[term][term] += RIDGE * squares;
+            left[(term, term)] += RIDGE * squares;
         }
         let share = 1.0 / f64::max(rows, 1.0);
-        normal.left = normal.left.map(|row| row.map(|value| value * share));
-        normal.right = normal.right.map(|value| value * share);
-        normal
+        Self { left: left * share, right: right * share }
     }
 
     /// The best weights that are not negative, by coordinate descent.
-    fn solve(&self, start: &[f64; TERMS]) -> [f64; TERMS] {
-        let mut weights = *start;
+    fn solve(&self, mut weights: Terms) -> Terms {
         for _ in 0..300 {
             for term in 0..TERMS {
-                let own = self.left[term][term];
+                let own = self.left[(term, term)];
                 if own > 1e-12 {
-                    let sum: f64 =
-                        (0..TERMS).map(|other| self.left[term][other] * weights[other]).sum();
-                    weights[term] = (weights[term] - (sum - self.right[term]) / own).max(0.0);
+                    let excess = self.left.column(term).dot(&weights) - self.right[term];
+                    weights[term] = (weights[term] - excess / own).max(0.0);
                 }
             }
         }
@@ -511,8 +502,8 @@ impl Origins {
     }
 
     /// The energy by each level, J.
-    fn experts(&self, origin: &Origin, with: &With) -> [f64; LEVELS] {
-        std::array::from_fn(|level| {
+    fn experts(&self, origin: &Origin, with: &With) -> Levels {
+        Levels::from_fn(|level, _| {
             let [energy_j, command_j, time_s] = origin.levels[level];
             if time_s <= 0.0 {
                 return origin.command_j;
@@ -527,41 +518,33 @@ impl Origins {
 
     /// The non-negative weights with sum 1 and least absolute error, by exponentiated gradients
     /// with decreasing steps.
-    fn weights(&self, with: &With) -> [f64; LEVELS] {
+    fn weights(&self, with: &With) -> Levels {
         const ROUNDS: usize = 200;
-        let experts: Vec<[f64; LEVELS]> =
+        let experts: Vec<Levels> =
             self.origins.iter().map(|origin| self.experts(origin, with)).collect();
-        let mut weights = [1.0 / (LEVELS) as f64; LEVELS];
+        let mut weights = Levels::repeat(1.0 / LEVELS as f64);
         let mut best = (f64::INFINITY, weights);
         for round in 0..ROUNDS {
-            let (mut loss, mut slope) = (0.0, [0.0; LEVELS]);
+            let (mut loss, mut slope) = (0.0, Levels::zeros());
             for (origin, experts) in self.origins.iter().zip(&experts) {
-                let error_j = weighted(&weights, experts) - origin.energy_j;
+                let error_j = weights.dot(experts) - origin.energy_j;
                 loss += error_j.abs();
-                for (slope, expert) in slope.iter_mut().zip(experts) {
-                    *slope += error_j.signum() * (expert - origin.energy_j);
-                }
+                slope += experts.add_scalar(-origin.energy_j) * error_j.signum();
             }
             if loss < best.0 {
                 best = (loss, weights);
             }
-            let largest = slope.iter().fold(0.0f64, |largest, slope| largest.max(slope.abs()));
+            let largest = slope.amax();
             if largest.is_nan() || largest <= 0.0 {
                 break;
             }
             let step = 0.5 * (1.0 - round as f64 / ROUNDS as f64) / largest;
-            let raw: [f64; LEVELS] =
-                std::array::from_fn(|at| weights[at] * libm::exp(-step * slope[at]) + 1e-9);
-            let sum: f64 = raw.iter().sum();
-            weights = raw.map(|weight| weight / sum);
+            let factors = slope.map(|slope| libm::exp(-step * slope));
+            weights = weights.component_mul(&factors).add_scalar(1e-9);
+            weights /= weights.sum();
         }
-        let sum: f64 = best.1.iter().sum();
-        best.1.map(|weight| weight / sum)
+        best.1 / best.1.sum()
     }
-}
-
-fn weighted(weights: &[f64; LEVELS], experts: &[f64; LEVELS]) -> f64 {
-    weights.iter().zip(experts).map(|(weight, expert)| weight * expert).sum()
 }
 
 /// Energies at one origin, J.
@@ -601,7 +584,7 @@ impl Crossed {
             found.recordings.extend(&scored.recordings);
             found.duration_s = scored.duration_s;
             found.pairs.extend(scored.origins.iter().map(|origin| Pair {
-                forecast: weighted(&weights, &scored.experts(origin, with)),
+                forecast: weights.dot(&scored.experts(origin, with)),
                 measured: origin.energy_j,
             }));
         }
