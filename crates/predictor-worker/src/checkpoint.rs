@@ -98,12 +98,15 @@ impl SentErrors {
         }
     }
 
-    /// Receives the errors that were sent last.
+    /// Receives the errors that were sent last. Levels are of this run alone, and older releases
+    /// read another quantity in their place.
     pub(crate) fn receive(&self) -> Vec<ModelErrors> {
         let number = |bits: &AtomicU32| f32::from_bits(bits.load(Ordering::Relaxed));
         let platforms = self.0.iter();
-        let errors =
-            platforms.map(|(hash, sent)| ModelErrors { model_hash: *hash, seen: sent.map(number) });
+        let errors = platforms.map(|(hash, sent)| ModelErrors {
+            model_hash: *hash,
+            seen: sent.map(number).without_levels(),
+        });
         errors.collect()
     }
 }

@@ -56,7 +56,7 @@ const MAX_FIRST_KEYFRAME_NS: u64 = 1_000_000_000;
 const KEYFRAME_EVERY_NS: u64 = 5_000_000_000;
 const KEYFRAME_TIME_FACTOR: u64 = 100;
 /// The first [`TICK_RULES`] whose keyframes have this version's encoding.
-const ENCODED_SINCE: u32 = 10;
+const ENCODED_SINCE: u32 = 11;
 /// Rules of answers, and the first [`TICK_RULES`] that came with them.
 const ANSWERED_SINCE: u32 = 4;
 const ANSWERED_WITH: u32 = 7;

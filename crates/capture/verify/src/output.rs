@@ -12,11 +12,11 @@ use joulebus_capture_format::{Message, MessageKind};
 /// older rules are compared in the channels whose number is not greater than theirs.
 const SAME_BITS_SINCE: [(&str, u32); 6] = [
     ("forecasts", 9),
-    ("diagnostics", 10),
-    ("budgets", 10),
-    ("plan_states", 10),
-    ("outlooks", 10),
-    ("state", 10),
+    ("diagnostics", 11),
+    ("budgets", 11),
+    ("plan_states", 11),
+    ("outlooks", 11),
+    ("state", 11),
 ];
 
 /// True if a channel has the same bits by `tick_rules` as by this version's.

@@ -19,7 +19,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::levels::{SHADOWS, SHADOWS_S};
-use crate::memory::{self, GROUPS, LEVEL, Memory, POWER, SCATTER, Shown, shown};
+use crate::memory::{self, GROUPS, LEVEL, Memory, POWER, Shown, shown};
 use crate::model::EnergyModel;
 use crate::quantiles;
 
@@ -130,14 +130,12 @@ pub struct NewErrors {
 }
 
 impl NewErrors {
-    /// What the robot has shown, with the scatter of its levels in that of the model, and its level
-    /// in the power of its commands, if they are known: once a second.
-    pub fn shown_with(&self, of_levels: [Option<f32>; 2]) -> Shown {
+    /// What the robot has shown, with its level in the power of its commands, if it is known: once a
+    /// second.
+    pub fn shown_with(&self, level: Option<f32>) -> Shown {
         let mut all = self.shown;
-        for (quantity, number) in [SCATTER, LEVEL].into_iter().zip(of_levels) {
-            if let Some(number) = number.filter(|_| all[POWER][0] > 0) {
-                all[quantity] = shown(quantity, 1.0, number);
-            }
+        if let Some(level) = level.filter(|_| all[POWER][0] > 0) {
+            all[LEVEL] = shown(LEVEL, 1.0, level);
         }
         all
     }

@@ -14,7 +14,7 @@
 use std::fmt;
 use std::marker::PhantomData;
 
-use serde::de::{Deserialize, Deserializer, SeqAccess, Visitor};
+use serde::de::{Deserialize, Deserializer, IgnoredAny, SeqAccess, Visitor};
 
 /// Groups of robots.
 pub const GROUPS: usize = 32;
@@ -22,18 +22,15 @@ pub const GROUPS: usize = 32;
 const QUORUM: f32 = 8.0;
 
 /// Quantities that are remembered: the place of each in [`Shown`].
-pub const SHOWN: usize = 5;
+pub const SHOWN: usize = 4;
 /// Seconds of a robot: their number, and their power in the platform's trained mean.
 pub(crate) const POWER: usize = 0;
 /// The first readings of a robot: their number, and the [excess](Memory::start_excess).
 const START: usize = 1;
 /// Squares of the energy that the commands explained, and its products with what was to explain.
 pub(crate) const TRUST: usize = 2;
-/// Seconds of a robot with known scatter of its levels: their number, and the standard deviation in
-/// that of the model.
-pub(crate) const SCATTER: usize = 3;
 /// Seconds of a robot with a known level: their number, and its power in that of its commands.
-pub(crate) const LEVEL: usize = 4;
+pub(crate) const LEVEL: usize = 3;
 
 /// Weight and sum of each quantity.
 pub type Shown<T = i64> = [[T; 2]; SHOWN];
@@ -41,12 +38,12 @@ pub type Shown<T = i64> = [[T; 2]; SHOWN];
 /// A weight or sum of 1, as an integer.
 const UNIT: f32 = 65536.0;
 /// Largest number that a robot may show.
-const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0, 64.0, 64.0];
+const MAX: [f32; SHOWN] = [64.0, 2.0, 4.0, 64.0];
 /// Largest weight that a group remembers. Older parts fade: two hours of a robot, four starts. A
 /// level is a mean already, so the newest ones count.
-const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0, 7_200.0, 3.0];
-/// Weight with which a group counts half: 2 s of a robot, one start, 10 s of scatter.
-const HALF: [f32; SHOWN] = [2.0, 1.0, 0.1, 10.0, 0.1];
+const MEMORY: [f32; SHOWN] = [7_200.0, 4.0, 4.0, 3.0];
+/// Weight with which a group counts half: 2 s of a robot, one start.
+const HALF: [f32; SHOWN] = [2.0, 1.0, 0.1, 0.1];
 
 /// A weight and a number as [`Shown`] has them. None of either if they are not finite.
 pub(crate) fn shown(quantity: usize, weight: f32, number: f32) -> [i64; 2] {
@@ -71,7 +68,8 @@ pub fn shown_start(excess: f32) -> Shown {
     all
 }
 
-/// Reads what groups have shown. Files of an older version lack the last quantities.
+/// Reads what groups have shown. Files of an older version lack the last quantity, or have another
+/// in its place, and one more behind it.
 pub(crate) fn read_groups<'de, T, D>(from: D) -> Result<[Shown<T>; GROUPS], D::Error>
 where
     T: Deserialize<'de> + Default,
@@ -83,7 +81,7 @@ where
         type Value = Group<T>;
 
         fn expecting(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
-            write!(to, "at most {SHOWN} pairs of numbers")
+            write!(to, "{SHOWN} pairs of numbers")
         }
 
         fn visit_seq<A: SeqAccess<'de>>(self, mut pairs: A) -> Result<Group<T>, A::Error> {
@@ -91,6 +89,7 @@ where
             for pair in &mut shown {
                 *pair = pairs.next_element()?.unwrap_or_default();
             }
+            while pairs.next_element::<IgnoredAny>()?.is_some() {}
             Ok(Group(shown))
         }
     }
@@ -121,8 +120,6 @@ pub struct Memory {
     /// Mean squared error of the robots' first forecasts without the last reading, above that of
     /// the last reading, in the model's variance: −2 to 2.
     pub start_excess: f32,
-    /// Scatter of the robots' levels of power, in that of the model's errors: 1/4 to 4.
-    pub scatter: f32,
     /// Median of the robots' mean powers, in the platform's trained mean. 0 before the first robot.
     /// It is only told: one robot of two kinds may move it far.
     pub drawn: f32,
@@ -140,7 +137,6 @@ impl Memory {
         power: 1.0,
         command_trust: 1.0,
         start_excess: 0.0,
-        scatter: 1.0,
         drawn: 0.0,
         level: 0.0,
         spread: SPREAD,
@@ -175,7 +171,6 @@ impl Memory {
             command_trust: trust.mean(1.0, groups.each_ref().map(|shown| trusts(shown[TRUST]))),
             start_excess: Known::new(groups, START)
                 .mean(0.0, groups.each_ref().map(|shown| means(START, shown[START]))),
-            scatter: ratio(SCATTER),
         }
     }
 

@@ -33,7 +33,7 @@ rows! {
         /// Squared error of the first forecasts above that of the last reading, in the variance of
         /// the model's errors.
         pub start_excess: f32,
-        /// Scatter of the levels of each robot, in that of the model.
+        /// NaN: no longer remembered.
         pub scatter: f32,
         /// Median power of the robots, in that of their commands. 0 while fewer than eight are known.
         pub level: f32,

@@ -45,7 +45,10 @@ pub const ANSWER_RULES: u32 = 7;
 /// 10: the capacity of batteries and their charging rates are learned. Outlooks have bounds beyond
 /// the horizons whose errors are known. Levels of robots are also compared with those of the
 /// platform's other robots. Trust in commands follows the errors of 10 s and more.
-pub const TICK_RULES: u32 = 10;
+///
+/// 11: the scatter of levels is no longer remembered. Errors of batteries are kept in single
+/// precision, and shadow forecasts to three digits.
+pub const TICK_RULES: u32 = 11;
 
 /// Maximum number of values of a question.
 pub const MAX_QUERY_VALUES: usize = 4_096;

@@ -2,9 +2,10 @@
 
 use joulebus_settings::AlarmSettings;
 use joulebus_wire::{Alarm, AlarmSet};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::layout::lanes::{block, put};
+use crate::layout::lanes::{Lanes, block, put};
+use crate::layout::versions::{self, NARROW, Narrow, before};
 
 /// Serial correlation above which whitening would only amplify noise.
 const MAX_CORRELATION: f32 = 0.9;
@@ -24,11 +25,29 @@ const MISMATCH_MEMORY: f32 = 10.0;
 const MAX_MISMATCH_ERROR: f32 = 20.0;
 const MIN_MISMATCH_SQUARE: f32 = 3.0;
 
-/// Number of alarms that are decided here. Those of the battery follow.
+/// Number of alarms up to the last one that is decided here. Those of the battery follow.
 const ALARMS: usize = Alarm::WatchdogStop.code() as usize;
 
-/// For each alarm, the number of consecutive samples for which its condition has required a change.
-type Agreeing = [u16; ALARMS];
+/// For each alarm that is decided here, the number of consecutive samples for which its condition has
+/// required a change.
+type Agreeing = [u16; DECIDED];
+
+/// Number of alarms that are decided here: none of `NoData` and of the retired biases.
+const DECIDED: usize = ALARMS - 3;
+
+/// The place of an alarm's bit in [`Agreeing`], if it is decided here.
+const fn place_of(bit: usize) -> Option<usize> {
+    const STUCK: usize = Alarm::StuckSensor.code() as usize - 1;
+    const HELD: usize = Alarm::HeldTooLong.code() as usize - 1;
+    const NOISE: usize = Alarm::NoiseHigh.code() as usize - 1;
+    const RANGE: usize = Alarm::OutOfRange.code() as usize - 1;
+    const { assert!(RANGE == 1 && STUCK == 2 && HELD == 3 && NOISE == 6) };
+    match bit {
+        RANGE..=HELD => Some(bit - RANGE),
+        NOISE..ALARMS => Some(bit - NOISE + HELD),
+        _ => None,
+    }
+}
 
 block! {
     /// Residual statistics of one robot.
@@ -37,7 +56,7 @@ block! {
 
     /// The detectors of a block.
     #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    #[repr(align(64))]
+    #[repr(align(32))]
     pub(crate) struct DetectorLanes {
         pub bias_w: f32 = 0.0,
         // Older states have two cumulative sums before it.
@@ -49,12 +68,39 @@ block! {
         /// Equal, until there are readings.
         error_square: f32 = 1.0,
         persistence_square: f32 = 1.0,
-        /// [`AlarmSet`]: alarms for which `agreeing` is not zero.
-        changing: u32 = 0,
-        /// [`AlarmSet`].
-        raised: u32 = 0,
+        /// Low bits of an [`AlarmSet`]: alarms for which `agreeing` is not zero.
+        #[serde(deserialize_with = "versions::read_narrow")]
+        changing: u32 as u16 = 0,
+        /// Low bits of an [`AlarmSet`].
+        #[serde(deserialize_with = "versions::read_narrow")]
+        raised: u32 as u16 = 0,
         /// Rarely accessed: robot by robot.
-        agreeing: Agreeing = [0; ALARMS],
+        #[serde(deserialize_with = "versions::read_narrow")]
+        agreeing: Agreeing = [0; DECIDED],
+    }
+}
+
+/// No state has it but in columns.
+impl Narrow for Agreeing {
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        Self::deserialize(from)
+    }
+}
+
+impl Narrow for Lanes<Agreeing> {
+    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        // Versions before have a number for each alarm up to the last one.
+        before(NARROW, from, |all: Lanes<[u16; ALARMS]>| {
+            all.map(|of_all| {
+                let mut agreeing = Agreeing::default();
+                for (bit, count) in of_all.into_iter().enumerate() {
+                    if let Some(place) = place_of(bit) {
+                        agreeing[place] = count;
+                    }
+                }
+                agreeing
+            })
+        })
     }
 }
 
@@ -155,7 +201,8 @@ impl Detector {
             let (bit, place) = (look & look.wrapping_neg(), look.trailing_zeros() as usize);
             look &= !bit;
             // Conditions contain only existing alarms.
-            let Some(agreeing) = self.agreeing.get_mut(place) else {
+            let agreeing = place_of(place).and_then(|place| self.agreeing.get_mut(place));
+            let Some(agreeing) = agreeing else {
                 return;
             };
             if change & bit == 0 {
@@ -177,7 +224,7 @@ impl Detector {
 impl DetectorLanes {
     #[inline(always)]
     pub(crate) fn raised(&self, lane: usize) -> AlarmSet {
-        AlarmSet(self.raised[lane])
+        AlarmSet(self.raised[lane].into())
     }
 
     /// Same as [`Block::set`], for the fields that [`Detector::observe`] changes.

@@ -15,9 +15,8 @@
 //!
 //! **Deviation.** The mean of 2 s, and that of 12 s, minus what is expected, relative to the
 //! expected power, in standard deviations of the robot's own levels. Those start as the platform's,
-//! and never fall below them. The platform's are those of the errors of its energy model, times the
-//! scatter that its robots [have shown](joulebus_energy::Memory::scatter) if it is above 1. A quick
-//! mean needs [`QUICK`] of the limit, a slow one [`SLOW`] of it, for [`HOLD_S`].
+//! and never fall below them. The platform's are those of the errors of its energy model. A quick mean
+//! needs [`QUICK`] of the limit, a slow one [`SLOW`] of it, for [`HOLD_S`].
 //!
 //! **Among others.** A robot that has had its load from the first sample on has no level without it.
 //! So its own level is also compared with the median of its platform's robots, once eight
@@ -98,8 +97,6 @@ const UNTRAINED_SPREAD: [f32; 2] = [0.1, 0.07];
 const KIND_S: f32 = 60.0;
 /// Share of [`UNLIKE`] below which that ends.
 const KIND_STAYS: f32 = 0.9;
-/// Seconds of learned scatter before a robot shows it to its platform.
-const SHOWS_S: f32 = 10.0;
 /// Time for which a deviation must stay beyond the limit, s: a load that comes and goes within a
 /// second is no fault.
 const HOLD_S: f32 = 3.0;
@@ -177,14 +174,7 @@ impl LevelRules {
     /// The rules where the platform's robots have shown this.
     #[inline(always)]
     pub(crate) fn among(&self, memory: &Memory) -> Self {
-        let scatter = memory.scatter.max(1.0);
-        let square = scatter * scatter;
-        Self {
-            variances: self.variances.map(|variance| square * variance),
-            among: memory.level,
-            spread: memory.spread * memory.spread,
-            ..*self
-        }
+        Self { among: memory.level, spread: memory.spread * memory.spread, ..*self }
     }
 
     /// The power of a command: `model_w` is the energy model's. NaN if it is unknown.
@@ -492,16 +482,11 @@ impl Level {
         if raised { KIND } else { 0 }
     }
 
-    /// What the robot shows to its platform, as far as it is known: the scatter of its levels in
-    /// that of the energy model, and its own level in the power of its commands.
-    pub(crate) fn shown(&self, rules: &LevelRules) -> [Option<f32>; 2] {
-        let ratio = |variance: f32, place: usize| (variance / rules.variances[place]).sqrt();
-        let scatter = 0.5 * (ratio(self.quick_variance, 0) + ratio(self.slow_variance, 1));
+    /// What the robot shows to its platform, if it is known: its own level in the power of its
+    /// commands.
+    pub(crate) fn shown(&self) -> Option<f32> {
         let level = self.own_w.max(0.0) / self.own_command_w.max(f32::MIN_POSITIVE);
-        [
-            Some(scatter).filter(|_| (self.scatter_s >= SHOWS_S) & !self.is_raised()),
-            Some(level).filter(|level| (self.own_s >= AMONG_S) & level.is_finite()),
-        ]
+        Some(level).filter(|level| (self.own_s >= AMONG_S) & level.is_finite())
     }
 
     /// The own level takes the quick mean with the weight of `learned_s`.

@@ -3,11 +3,12 @@
 use std::sync::atomic::{AtomicI64, Ordering};
 
 use joulebus_energy::{
-    Calibration, EnergyModel, ErrorCounts, NewErrors, PARTS, PlatformErrors, Shown, group_of,
+    CLASSES, Calibration, ERRORS, EnergyModel, ErrorCounts, GROUPS, NewErrors, PARTS,
+    PlatformErrors, SHADOWS, Shown, group_of,
 };
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
-use crate::state::added;
+use crate::layout::versions::{NARROW, READ, is_before};
 
 /// The errors of all robots of a platform. Shards count them in any order while they share this.
 /// The fleet adds the counts before the next tick.
@@ -20,10 +21,36 @@ pub(crate) struct SharedErrors {
 /// The same as a value.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 pub(crate) struct SavedErrors {
-    #[serde(deserialize_with = "added::read_errors")]
+    #[serde(deserialize_with = "read_errors")]
     seen: ErrorCounts<f32>,
-    #[serde(deserialize_with = "added::read_errors")]
+    #[serde(deserialize_with = "read_errors")]
     counts: ErrorCounts,
+}
+
+/// Reads the errors of a platform. Versions before 0x12 lack the levels that its robots have shown,
+/// and versions before 0x13 have the scatter of the levels before them.
+fn read_errors<'de, T, D>(from: D) -> Result<ErrorCounts<T>, D::Error>
+where
+    T: Deserialize<'de> + Default + Copy,
+    D: Deserializer<'de>,
+{
+    #[derive(Deserialize)]
+    struct Before<T, G> {
+        classes: [[T; CLASSES]; ERRORS],
+        pulls: [[T; PARTS]; SHADOWS],
+        groups: [G; GROUPS],
+    }
+    if !is_before(NARROW) {
+        return ErrorCounts::deserialize(from);
+    }
+    if !is_before(READ) {
+        let Before { classes, pulls, groups } = Before::<T, [[T; 2]; 5]>::deserialize(from)?;
+        let groups = groups.map(|[power, start, trust, _, level]| [power, start, trust, level]);
+        return Ok(ErrorCounts { classes, pulls, groups });
+    }
+    let Before { classes, pulls, groups } = Before::<T, [[T; 2]; 4]>::deserialize(from)?;
+    let groups = groups.map(|[power, start, trust, _]| [power, start, trust, [T::default(); 2]]);
+    Ok(ErrorCounts { classes, pulls, groups })
 }
 
 impl SavedErrors {
@@ -72,12 +99,12 @@ impl SharedErrors {
     /// have shown with them unless it is on its charger.
     pub(crate) fn count(
         &self,
-        (robot, of_levels): (u32, [Option<f32>; 2]),
+        (robot, level): (u32, Option<f32>),
         errors: &NewErrors,
         charging: bool,
     ) {
         if !charging {
-            self.show(robot, &errors.shown_with(of_levels));
+            self.show(robot, &errors.shown_with(level));
         }
         for (counts, class) in self.counts.classes.iter().zip(errors.classes) {
             if let Some(count) = class.and_then(|class| counts.get(usize::from(class))) {
@@ -109,12 +136,13 @@ impl SharedErrors {
         self.calibration.seen()
     }
 
-    /// Continues from remembered errors of an earlier run. Returns whether errors could have led to
-    /// them.
+    /// Continues from remembered errors of an earlier run, without the levels: files of older
+    /// versions have another quantity in their place. Returns whether errors could have led to them.
     pub(crate) fn remember(&mut self, seen: &ErrorCounts<f32>) -> bool {
-        let is_sound = are_sound(seen);
+        let seen = seen.without_levels();
+        let is_sound = are_sound(&seen);
         if is_sound {
-            self.calibration.restore(&seen.without_levels());
+            self.calibration.restore(&seen);
         }
         is_sound
     }

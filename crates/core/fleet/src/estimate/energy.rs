@@ -6,19 +6,63 @@
 use joulebus_energy::{
     EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
 };
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::estimate::calibration::SharedErrors;
 use crate::layout::lanes::{self, Block, LANES, Lanes, put};
-use crate::state::added;
+use crate::layout::versions::{NARROW, READ, is_before};
 
 /// The energy states of a block.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct EnergyLanes {
     metered: MeteredLanes,
-    #[serde(deserialize_with = "added::read_learned")]
-    learned: [[Lanes<f32>; SHADOWS]; Learned::GROUPS],
+    learned: LearnedLanes,
+}
+
+/// [`Learned`] of a block.
+#[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
+#[serde(from = "LearnedOfAnyVersion")]
+struct LearnedLanes {
+    /// The shadow forecasts' groups, before [`TRUST`] and after it: the upper halves of the bits.
+    shadows: [[Lanes<u16>; SHADOWS]; Learned::GROUPS - 1],
+    trust: [Lanes<f32>; SHADOWS],
+}
+
+/// The group of [`Learned::to_groups`] that is not of shadow forecasts.
+const TRUST: usize = 3;
+
+impl LearnedLanes {
+    #[inline(always)]
+    fn get(&self, lane: usize) -> Learned {
+        // Loops, because calls of `map` are not always inlined.
+        let mut groups = [[0.0; SHADOWS]; Learned::GROUPS];
+        for group in 0..Learned::GROUPS - 1 {
+            for shadow in 0..SHADOWS {
+                let upper = u32::from(self.shadows[group][shadow][lane]);
+                groups[group + usize::from(group >= TRUST)][shadow] = f32::from_bits(upper << 16);
+            }
+        }
+        for number in 0..SHADOWS {
+            groups[TRUST][number] = self.trust[number][lane];
+        }
+        Learned::from_groups(&groups)
+    }
+
+    /// Stores it. The lower halves of the shadow forecasts are 0.
+    #[inline(always)]
+    fn set(&mut self, lane: usize, mask: bool, learned: &Learned) {
+        let groups = learned.to_groups();
+        for group in 0..Learned::GROUPS - 1 {
+            for shadow in 0..SHADOWS {
+                let bits = groups[group + usize::from(group >= TRUST)][shadow].to_bits();
+                put(&mut self.shadows[group][shadow][lane], mask, (bits >> 16) as u16);
+            }
+        }
+        for number in 0..SHADOWS {
+            put(&mut self.trust[number][lane], mask, groups[TRUST][number]);
+        }
+    }
 }
 
 /// The part that changes with every sample.
@@ -50,16 +94,9 @@ impl Block for EnergyLanes {
 
     #[inline(always)]
     fn get(&self, lane: usize) -> EnergyState {
-        // Loops, because calls of `map` are not always inlined.
-        let mut learned = [[0.0; SHADOWS]; Learned::GROUPS];
-        for group in 0..Learned::GROUPS {
-            for shadow in 0..SHADOWS {
-                learned[group][shadow] = self.learned[group][shadow][lane];
-            }
-        }
         EnergyState {
             metered: self.metered.get(lane),
-            learned: Learned::from_groups(&learned),
+            learned: self.learned.get(lane),
             bounds: ErrorBounds::TRAINED,
         }
     }
@@ -67,12 +104,41 @@ impl Block for EnergyLanes {
     #[inline(always)]
     fn set(&mut self, lane: usize, mask: bool, robot: EnergyState) {
         self.metered.set(lane, mask, &robot.metered);
-        let numbers = robot.learned.to_groups();
-        for group in 0..Learned::GROUPS {
-            for shadow in 0..SHADOWS {
-                put(&mut self.learned[group][shadow][lane], mask, numbers[group][shadow]);
-            }
+        self.learned.set(lane, mask, &robot.learned);
+    }
+}
+
+/// [`LearnedLanes`] in the encoding of any version. Versions before 0x13 have 32 bits for each number,
+/// and versions before 0x12 two groups of factors more.
+struct LearnedOfAnyVersion(LearnedLanes);
+
+impl<'de> Deserialize<'de> for LearnedOfAnyVersion {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        type Group<T> = [Lanes<T>; SHADOWS];
+        if !is_before(NARROW) {
+            type Fields = ([Group<u16>; Learned::GROUPS - 1], Group<f32>);
+            let (shadows, trust) = Fields::deserialize(from)?;
+            return Ok(Self(LearnedLanes { shadows, trust }));
         }
+        let groups = if !is_before(READ) {
+            <[Group<f32>; Learned::GROUPS]>::deserialize(from)?
+        } else {
+            let [factor, added, mean, _, trust, last, own, _, of, outlook] =
+                <[Group<f32>; 10]>::deserialize(from)?;
+            [factor, added, mean, trust, last, own, of, outlook]
+        };
+        let mut lanes = LearnedLanes::default();
+        for lane in 0..LANES {
+            let numbers = groups.map(|group| group.map(|lanes| lanes[lane]));
+            lanes.set(lane, true, &Learned::from_groups(&numbers).rounded());
+        }
+        Ok(Self(lanes))
+    }
+}
+
+impl From<LearnedOfAnyVersion> for LearnedLanes {
+    fn from(LearnedOfAnyVersion(lanes): LearnedOfAnyVersion) -> Self {
+        lanes
     }
 }
 
@@ -140,7 +206,7 @@ impl EnergyLanes {
         errors: Option<&SharedErrors>,
         mask: &Lanes<bool>,
         samples: &EnergySamples<'_>,
-        robot: impl Fn(usize) -> (u32, [Option<f32>; 2]),
+        robot: impl Fn(usize) -> (u32, Option<f32>),
     ) {
         let (command, learns) = (model.command, errors.is_some());
         let mut ended = [false; LANES];
@@ -163,7 +229,7 @@ impl EnergyLanes {
         errors: &SharedErrors,
         ended: &Lanes<bool>,
         samples: &EnergySamples<'_>,
-        robot: impl Fn(usize) -> (u32, [Option<f32>; 2]),
+        robot: impl Fn(usize) -> (u32, Option<f32>),
     ) {
         for lane in (0..LANES).filter(|lane| ended[*lane]) {
             let mut state = self.get(lane);

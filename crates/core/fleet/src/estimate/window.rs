@@ -51,14 +51,12 @@ pub(crate) struct Window {
     closed: Lags,
     /// After `open_steps` further periods without a sample.
     open: Lags,
-    /// The last command, m/s and rad/s, if `commanded`.
-    v_mps: f32,
-    omega_radps: f32,
     open_steps: u16,
     /// Sample periods since the last valid reading, as of the last sample.
     pub unread_steps: u16,
     /// Readings in the window.
     have: u8,
+    /// True if there is a last command. The energy state has it.
     commanded: bool,
     /// Age of the newest reading, after the last sample. It survives an emptied window, because it
     /// depends on samples only, not on forecasts.
@@ -69,8 +67,6 @@ impl Window {
     pub(crate) const EMPTY: Self = Self {
         closed: Lags::EMPTY,
         open: Lags::EMPTY,
-        v_mps: f32::NAN,
-        omega_radps: f32::NAN,
         open_steps: 0,
         unread_steps: 0,
         have: 0,
@@ -128,8 +124,6 @@ impl Window {
         PlanStart {
             lag_w,
             power_w,
-            v_mps: self.v_mps,
-            omega_radps: self.omega_radps,
             steps,
             is_full: self.is_full(),
             commanded: self.commanded,
@@ -154,10 +148,10 @@ impl Window {
         Gap::Break
     }
 
-    /// Starts open-loop steps towards `steps` periods after the last sample. Returns the row to
-    /// infer next, or `None` when that is reached or there is nothing to continue from. Steps
-    /// beyond `steps` that the worker's clock had caused are undone.
-    pub(crate) fn open_towards(&mut self, steps: u16) -> Option<Features> {
+    /// Starts open-loop steps towards `steps` periods after the last sample, under its command, m/s
+    /// and rad/s. Returns the row to infer next, or `None` when that is reached or there is nothing
+    /// to continue from. Steps beyond `steps` that the worker's clock had caused are undone.
+    pub(crate) fn open_towards(&mut self, steps: u16, command: (f32, f32)) -> Option<Features> {
         if self.open_steps > steps {
             self.open_steps = 0;
         }
@@ -173,7 +167,7 @@ impl Window {
         }
         self.open.push(forecast_w);
         self.open_steps += 1;
-        let mut row = self.row(&self.open, None);
+        let mut row = row(&self.open, command, None);
         self.reading_age.after(self.open_steps.into()).fill(&mut row);
         Some(row)
     }
@@ -251,35 +245,36 @@ impl Window {
         self.unread_steps += 1;
     }
 
-    /// Takes a sample's command, `elapsed_s` after the last one. Returns the row for the forecast
+    /// Takes a sample's command, `elapsed_s` after the one `before`, which is NaN if unknown. Returns the row for the forecast
     /// of the next reading, and whether the forecast can be made: the window is full, and command
     /// and reading age are known if they are `required`.
     #[inline(always)]
     pub(crate) fn next_row(
         &mut self,
-        elapsed_s: f32,
+        (before, elapsed_s): ((f32, f32), f32),
         command: Option<(f32, f32)>,
         required: RequiredInputs,
     ) -> (Features, bool) {
-        let previous = (self.commanded & (elapsed_s > 0.0)).then_some((
-            self.v_mps,
-            self.omega_radps,
-            elapsed_s,
-        ));
+        let previous =
+            (self.commanded & (elapsed_s > 0.0)).then_some((before.0, before.1, elapsed_s));
         self.commanded = command.is_some();
-        (self.v_mps, self.omega_radps) = command.unwrap_or((f32::NAN, f32::NAN));
-        let mut row = self.row(&self.closed, previous);
+        let command = command.unwrap_or((f32::NAN, f32::NAN));
+        let mut row = row(&self.closed, command, previous);
         self.reading_age.fill(&mut row);
         let ready = self.is_full()
             & (self.commanded | !required.command)
             & (self.reading_age.is_known() | !required.freshness);
         (row, ready)
     }
+}
 
-    #[inline(always)]
-    fn row(&self, lags: &Lags, previous: Option<(f32, f32, f32)>) -> Features {
-        features(self.v_mps, self.omega_radps, previous, &lags.lag_w)
-    }
+#[inline(always)]
+fn row(
+    lags: &Lags,
+    (v_mps, omega_radps): (f32, f32),
+    previous: Option<(f32, f32, f32)>,
+) -> Features {
+    features(v_mps, omega_radps, previous, &lags.lag_w)
 }
 
 /// The start of a plan made now, open-loop steps included.
@@ -288,8 +283,6 @@ pub(crate) struct PlanStart {
     pub lag_w: [f32; LAGS],
     /// The forecast published now, W. NaN if there is none.
     pub power_w: f32,
-    pub v_mps: f32,
-    pub omega_radps: f32,
     /// Sample periods since the last reading.
     pub steps: u16,
     pub is_full: bool,
@@ -318,7 +311,8 @@ mod tests {
         let mut window = Window::EMPTY;
         for step in 0..5u8 {
             window.read(f32::from(step), step % 3 == 0);
-            window.next_row(10e-9, Some((0.1, 0.0)), RequiredInputs::new(FeatureSet::Freshness));
+            let after = ((0.1, 0.0), 10e-9);
+            window.next_row(after, Some((0.1, 0.0)), RequiredInputs::new(FeatureSet::Freshness));
         }
         window.closed.forecast_w = 4.5;
         window
@@ -330,7 +324,7 @@ mod tests {
     }
 
     fn open(window: &mut Window, steps: u16) {
-        while let Some(row) = window.open_towards(steps) {
+        while let Some(row) = window.open_towards(steps, (0.1, 0.0)) {
             window.open.forecast_w = infer(&row);
         }
     }

@@ -248,7 +248,7 @@ impl Fleet {
                 power: memory.power,
                 command_trust: memory.command_trust,
                 start_excess: memory.start_excess,
-                scatter: memory.scatter,
+                scatter: f32::NAN,
                 level: memory.level,
                 spread: memory.spread,
             };

@@ -12,11 +12,14 @@ use crate::estimate::interval::{ConformalInterval, IntervalLanes, QuantileStep};
 use crate::estimate::online::{Learned, Members, Online, OnlineLanes};
 use crate::estimate::window::{Window, WindowLanes};
 use crate::layout::lanes::{self, LANES};
+use crate::layout::versions;
 use crate::state::snapshot::StateError;
 use crate::tick::platform_context::PossiblePower;
 
 /// First bytes of the encoding. The last of them is its version.
-const MAGIC: [u8; 8] = *b"jbonlin\x02";
+const MAGIC: [u8; 8] = *b"jbonlin\x03";
+/// The oldest version that is read too, and the version of the fleets' states of its time.
+const OLDEST: (u8, u8) = (2, 0x12);
 
 /// Settings of [`OnlineForecasts`], with the meaning that they have for a platform.
 #[derive(Debug, Clone, Copy)]
@@ -203,11 +206,15 @@ impl OnlineForecasts {
     /// # Errors
     /// [`StateError::Version`] or [`StateError::Malformed`].
     pub fn restore(&mut self, bytes: &[u8]) -> Result<(), StateError> {
-        let decoded = if let Some(encoded) = bytes.strip_prefix(&MAGIC) {
-            postcard::from_bytes(encoded)
-        } else {
-            let found = bytes.iter().take(MAGIC.len()).copied().collect();
-            return Err(StateError::Version { found, oldest: MAGIC[7], expected: MAGIC[7] });
+        let decoded = match bytes.strip_prefix(&MAGIC[..7]) {
+            Some([version, encoded @ ..]) if *version == MAGIC[7] => postcard::from_bytes(encoded),
+            Some([version, encoded @ ..]) if *version == OLDEST.0 => {
+                versions::decode_version(OLDEST.1, || postcard::from_bytes(encoded))
+            }
+            _ => {
+                let found = bytes.iter().take(MAGIC.len()).copied().collect();
+                return Err(StateError::Version { found, oldest: OLDEST.0, expected: MAGIC[7] });
+            }
         };
         let malformed =
             |reason: &str| StateError::Malformed { bytes: bytes.len(), reason: reason.to_owned() };

@@ -84,7 +84,7 @@ pub(crate) enum PendingState {
 
 /// The newest samples of a block, with their processing states.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-#[repr(align(32))]
+#[repr(align(16))]
 pub(crate) struct PendingBlock {
     pub samples: PendingLanes,
     /// For an absorbed sample: the one-step-ahead forecast of its reading. NaN if there was none.

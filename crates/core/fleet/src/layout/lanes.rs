@@ -44,6 +44,7 @@ pub(crate) type Count = u64;
 ///     struct RobotLanes {            // left out: such a state is stored robot by robot
 ///         stamp_ns: InstantNs = 0,   // never `u64`, so that its author decides what it is
 ///         lag_w: [f32; LAGS] = [f32::NAN; LAGS],    // a column each
+///         bias: f64 as f32 = 0.0,    // computed in f64, stored in f32
 ///     }
 /// }
 /// ```
@@ -63,7 +64,7 @@ macro_rules! block {
         $crate::layout::lanes::block! { @none $robot $none $fields }
     };
     (@robot $(#[$about:meta])* $visible:vis $robot:ident {
-        $($(#[$field_about:meta])* $field_visible:vis $field:ident: $number:tt $(= $start:expr)?,)*
+        $($(#[$field_about:meta])* $field_visible:vis $field:ident: $number:tt $(as $stored:tt)? $(= $start:expr)?,)*
     }) => {
         $(#[$about])*
         $visible struct $robot {
@@ -82,7 +83,7 @@ macro_rules! block {
         }
     };
     (@none $robot:ident $none:ident {
-        $($(#[$about:meta])* $visible:vis $field:ident: $number:tt = $start:expr,)*
+        $($(#[$about:meta])* $visible:vis $field:ident: $number:tt $(as $stored:tt)? = $start:expr,)*
     }) => {
         impl $robot {
             /// Before the first sample.
@@ -90,18 +91,20 @@ macro_rules! block {
         }
     };
     (@block $robot:ident $(#[$about:meta])* $visible:vis $block:ident {
-        $($(#[$field_about:meta])* $field_visible:vis $field:ident: $number:tt $(= $start:expr)?,)*
+        $($(#[$field_about:meta])* $field_visible:vis $field:ident:
+            $number:tt $(as $stored:tt)? $(= $start:expr)?,)*
     }) => {
         $(#[$about])*
         $visible struct $block {
-            $($(#[$field_about])* $field_visible $field: $crate::layout::lanes::column!(type $number),)*
+            $($(#[$field_about])* $field_visible $field:
+                $crate::layout::lanes::column!(type $number $(as $stored)?),)*
         }
 
         impl $block {
             /// The same robot in each lane.
             #[allow(dead_code)]
             pub(crate) const fn all(robot: &$robot) -> Self {
-                Self { $($field: $crate::layout::lanes::column!(all robot.$field, $number),)* }
+                Self { $($field: $crate::layout::lanes::column!(all robot.$field, $number $(as $stored)?),)* }
             }
         }
 
@@ -111,13 +114,13 @@ macro_rules! block {
             #[inline(always)]
             #[allow(clippy::needless_range_loop)]
             fn get(&self, lane: usize) -> $robot {
-                $robot { $($field: $crate::layout::lanes::column!(get self.$field, lane, $number),)* }
+                $robot { $($field: $crate::layout::lanes::column!(get self.$field, lane, $number $(as $stored)?),)* }
             }
 
             #[inline(always)]
             #[allow(clippy::needless_range_loop)]
             fn set(&mut self, lane: usize, mask: bool, robot: $robot) {
-                $($crate::layout::lanes::column!(set self.$field, lane, mask, robot.$field, $number);)*
+                $($crate::layout::lanes::column!(set self.$field, lane, mask, robot.$field, $number $(as $stored)?);)*
             }
         }
     };
@@ -131,6 +134,7 @@ macro_rules! column {
     };
     (type [$number:ty; $count:expr]) => { [$crate::layout::lanes::Lanes<$number>; $count] };
     (type $number:ty) => { $crate::layout::lanes::Lanes<$number> };
+    (type $number:tt as $stored:ty) => { $crate::layout::lanes::Lanes<$stored> };
     (all $value:expr, [[$number:ty; $inner:expr]; $outer:expr]) => {{
         let (mut all, mut place) = ([[[$value[0][0]; $crate::layout::lanes::LANES]; $inner]; $outer], 0);
         while place < $inner * $outer {
@@ -149,6 +153,7 @@ macro_rules! column {
         all
     }};
     (all $value:expr, $number:ty) => { [$value; $crate::layout::lanes::LANES] };
+    (all $value:expr, $number:tt as $stored:ty) => { [$value as $stored; $crate::layout::lanes::LANES] };
     (get $columns:expr, $lane:ident, [[$number:ty; $inner:expr]; $outer:expr]) => {{
         let mut numbers = [[<$number>::default(); $inner]; $outer];
         for outer in 0..$outer {
@@ -166,6 +171,7 @@ macro_rules! column {
         numbers
     }};
     (get $column:expr, $lane:ident, $number:ty) => { $column[$lane] };
+    (get $column:expr, $lane:ident, $number:tt as $stored:ty) => { $number::from($column[$lane]) };
     (set $columns:expr, $lane:ident, $mask:ident, $value:expr, [[$number:ty; $inner:expr]; $outer:expr]) => {
         for outer in 0..$outer {
             for inner in 0..$inner {
@@ -180,6 +186,9 @@ macro_rules! column {
     };
     (set $column:expr, $lane:ident, $mask:ident, $value:expr, $number:ty) => {
         $crate::layout::lanes::put(&mut $column[$lane], $mask, $value);
+    };
+    (set $column:expr, $lane:ident, $mask:ident, $value:expr, $number:tt as $stored:ty) => {
+        $crate::layout::lanes::put(&mut $column[$lane], $mask, $value as $stored);
     };
     (shift $before_ns:ident, $instant:expr, $shift:ident, InstantNs) => {
         $before_ns = $before_ns.saturating_add($shift.instant(&mut $instant));

@@ -14,12 +14,12 @@ use joulebus_wire::{
 use serde::{Deserialize, Serialize};
 
 use crate::layout::lanes::{DurationNs, InstantNs, block, put};
+use crate::layout::versions;
 use crate::ledger::counting::{Counting, counted};
 use crate::ledger::energy::Ledger;
 use crate::ledger::gap::GapPower;
 use crate::ledger::lessons::Lessons;
 use crate::ledger::measured::{BatterySample, Measured};
-use crate::state::added;
 
 const SIGMAS: f64 = EnergyLeft::SIGMAS;
 /// Standard deviation of the state of charge that a charger reports as full.
@@ -80,13 +80,16 @@ block! {
 
     /// The batteries of a block.
     #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    #[repr(align(64))]
+    #[repr(align(32))]
     pub(crate) struct BatteryLanes {
         /// [`EnergyLeft`] at the anchor, `monitor` apart.
         pub soc: f64 = 0.0,
-        pub sd: f64 = 0.0,
-        pub below: f64 = 0.0,
-        pub above: f64 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub sd: f64 as f32 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub below: f64 as f32 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub above: f64 as f32 = 0.0,
         /// The ledger at the anchor.
         drawn_uj: i64 = 0,
         metered_ns: DurationNs = 0,
@@ -95,19 +98,26 @@ block! {
         /// measured values are compared with it.
         pub counted: f64 = 0.0,
         /// Error of the measured state of charge, its variance, and its covariance with `soc`.
-        pub bias: f64 = 0.0,
-        pub bias_var: f64 = 0.0,
-        pub covariance: f64 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub bias: f64 as f32 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub bias_var: f64 as f32 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub covariance: f64 as f32 = 0.0,
         /// Stamp of the last measured value that was looked at, ns. 0 before the first.
         pub measured_ns: InstantNs = 0,
         /// That value. `counted` is the counted one when it last changed.
-        pub measured: f64 = f64::NAN,
-        pub equal_counted: f64 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub measured: f64 as f32 = f64::NAN,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub equal_counted: f64 as f32 = 0.0,
         /// Measured minus estimated, while measured values contradict the estimate, else NaN. Since
         /// which stamp, and with which measured value.
-        pub jump: f64 = f64::NAN,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub jump: f64 as f32 = f64::NAN,
         pub jump_ns: InstantNs = 0,
-        pub jump_measured: f64 = f64::NAN,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub jump_measured: f64 as f32 = f64::NAN,
         /// Stamp of the last sample that did not continue the one before it, ns.
         pub interrupted_ns: InstantNs = 0,
         /// Times that another battery was noticed.
@@ -120,16 +130,21 @@ block! {
         pub fused: bool = false,
         /// Inputs of the newest sample: measured state of charge and energy to return, J (NaN if
         /// unknown), whether the first is derived from a voltage, and events.
-        input: f64 = f64::NAN,
-        pub return_j: f64 = f64::NAN,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        input: f64 as f32 = f64::NAN,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub return_j: f64 as f32 = f64::NAN,
         input_by_voltage: bool = false,
         events: u8 = 0,
         /// The monitor's part of the errors of `soc` and of `bias`, in its standard deviations:
         /// [`EnergyLeft::monitor`].
-        pub monitor: f64 = 0.0,
-        pub bias_monitor: f64 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub monitor: f64 as f32 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub bias_monitor: f64 as f32 = 0.0,
         /// [`EnergyLeft::range_sd`] at the anchor.
-        pub range_sd: f64 = 0.0,
+        #[serde(deserialize_with = "versions::read_narrow")]
+        pub range_sd: f64 as f32 = 0.0,
         /// Mean power at the newest sample, and the last reading, W. NaN if unknown. A gap after them is
         /// valued by them.
         pub mean_w: f32 = f32::NAN,
@@ -146,11 +161,11 @@ block! {
         pub pause: f32 = 0.0,
         /// Learned capacity as a share of the stated one, and its relative standard deviation: 0 before
         /// anything is learned.
-        #[serde(deserialize_with = "added::read")]
+        #[serde(deserialize_with = "versions::read")]
         pub capacity: f32 = 0.0,
-        #[serde(deserialize_with = "added::read")]
+        #[serde(deserialize_with = "versions::read")]
         pub capacity_sd: f32 = 0.0,
-        #[serde(deserialize_with = "added::read")]
+        #[serde(deserialize_with = "versions::read")]
         pub lessons: Lessons = Lessons::NONE,
     }
 }
@@ -171,13 +186,13 @@ impl BatteryLanes {
     #[inline(always)]
     pub(crate) fn note(&mut self, lane: usize, sample: &Sample, battery: &Battery) {
         self.return_j[lane] =
-            if sample.has(sample_flag::RETURN) { sample.return_j.into() } else { f64::NAN };
+            if sample.has(sample_flag::RETURN) { sample.return_j } else { f32::NAN };
         let by_voltage_only = !sample.has(sample_flag::SOC);
         self.input_by_voltage[lane] = by_voltage_only;
         self.input[lane] = if by_voltage_only {
-            by_voltage(sample, battery).unwrap_or(f64::NAN)
+            by_voltage(sample, battery).map_or(f32::NAN, |soc| soc as f32)
         } else {
-            f64::from(sample.soc).clamp(0.0, 1.0)
+            sample.soc.clamp(0.0, 1.0)
         };
         self.events[lane] = if sample.has(sample_flag::FULL) { FULL } else { 0 }
             | if sample.has(sample_flag::SWAPPED) { SWAPPED } else { 0 }
@@ -319,7 +334,8 @@ impl BatteryState {
         self.counted -= if is_short && !charging.unmetered { in_gap } else { 0.0 };
         // Beyond this nothing is known anyway, and the sum of years stays finite.
         (self.soc, self.sd) = (now.left, now.own_sd.min(1.0));
-        (self.below, self.above, self.range_sd) = (now.below, now.above, now.range_sd);
+        (self.below, self.above) = (outward(now.below), outward(now.above));
+        self.range_sd = now.range_sd;
         self.monitor = now.monitor.clamp(-1.0, 1.0);
         let unmetered_s = self.unmetered_s(at);
         self.pause_s += unmetered_s as f32;
@@ -478,8 +494,9 @@ impl BatteryState {
         let mut goes_on = charging.metered && !is_interrupted;
         if !self.input.is_nan() && self.is_due(seen.stamp_ns) {
             let measured = Measured::new(self.input, battery, self.input_by_voltage);
+            let has_changed = measured.soc.to_bits() != self.measured.to_bits();
             let is_believed = self.fuse(measured, seen.stamp_ns);
-            if is_believed {
+            if is_believed && has_changed {
                 self.begin_measured();
             }
             is_known |= is_believed;
@@ -504,9 +521,7 @@ impl BatteryState {
     /// A believed value that has just changed begins a pair of measured values. At its upper end a
     /// sensor is useless.
     fn begin_measured(&mut self) {
-        let changed = self.equal_counted.to_bits() == self.counted.to_bits();
-        let begins = !self.charging && !self.lessons.is_measured() && self.measured < 1.0;
-        if changed && begins {
+        if !self.charging && !self.lessons.is_measured() && self.measured < 1.0 {
             self.lessons.begin((self.measured, self.counted, 0.0));
         }
     }
@@ -589,8 +604,8 @@ impl BatteryState {
             soc: estimate.left,
             sd: estimate.own_sd,
             monitor: estimate.monitor,
-            below: estimate.below,
-            above: estimate.above,
+            below: outward(estimate.below),
+            above: outward(estimate.above),
             bias: saved.sensor_bias.into(),
             bias_var: saved.bias_var(),
             covariance: saved.sensor_covariance.into(),
@@ -627,6 +642,13 @@ impl BatteryState {
         (joining.reading_w, joining.full) = (f32::NAN, false);
         joining
     }
+}
+
+/// A bound's distance as a column stores it: rounding makes nothing more certain.
+fn outward(distance: f64) -> f64 {
+    let nearest = distance as f32;
+    let is_less = f64::from(nearest) < distance;
+    f64::from(if is_less { nearest.next_up() } else { nearest })
 }
 
 /// The state of charge that the voltage gives.
@@ -854,7 +876,12 @@ pub(crate) enum Known {
     Kept(BatteryState),
     /// Saved by an earlier run, with the mean power then, W, NaN if unknown. A gap since is valued by
     /// it.
-    Saved(SavedBattery, f32, SavedPause, #[serde(deserialize_with = "added::read")] SavedLessons),
+    Saved(
+        SavedBattery,
+        f32,
+        SavedPause,
+        #[serde(deserialize_with = "versions::read")] SavedLessons,
+    ),
 }
 
 impl Known {

@@ -19,7 +19,7 @@ block! {
 
     /// The ledgers of a block.
     #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
-    #[repr(align(32))]
+    #[repr(align(16))]
     pub(crate) struct LedgerLanes {
         /// Energy drawn over the metered time, µJ.
         pub drawn_uj: i64 = 0,

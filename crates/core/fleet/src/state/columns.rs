@@ -20,7 +20,7 @@ use crate::ledger::departed::Departed;
 use crate::ledger::energy::Ledger;
 use crate::ledger::energy::LedgerLanes;
 
-/// Bytes of one robot in the columns.
+/// Bytes of one robot in the columns that are always there.
 const COLUMNS: usize = size_of::<AdmissionState>()
     + (size_of::<PendingBlock>()
         + size_of::<WindowLanes>()
@@ -32,6 +32,12 @@ const COLUMNS: usize = size_of::<AdmissionState>()
         + size_of::<EnergyLanes>()
         + size_of::<LevelLanes>())
     .div_ceil(LANES);
+
+/// A robot that learns online and has a battery takes at most 1,000 bytes in the columns.
+const _: () = assert!(
+    COLUMNS + size_of::<OnlineLanes>().div_ceil(LANES) + size_of::<BatteryLanes>().div_ceil(LANES)
+        <= 1_000
+);
 
 /// A robot takes at most 800 bytes, its account after departure included: the columns, that
 /// account, its bit in the slot map, and one and a half entries in each of the two id tables.

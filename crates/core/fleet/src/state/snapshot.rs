@@ -9,14 +9,14 @@ use crate::ingest::codes::drop_counts;
 use crate::ingest::frame::TickIntake;
 use crate::ingest::refused::Refused;
 use crate::ingest::sources::Source;
+use crate::layout::versions;
 use crate::ledger::departed::{Account, LOST_WORDS};
-use crate::state::added;
 use crate::state::columns::{Columns, Needed};
 
 /// First bytes of the encoding. The last of them is its version, incremented whenever a column
 /// gains, loses or moves a field.
-const MAGIC: [u8; 8] = *b"jbstate\x12";
-/// The oldest version that is read too. It lacks the [`added`] fields.
+const MAGIC: [u8; 8] = *b"jbstate\x13";
+/// The oldest version that is read too. [`versions`](crate::layout::versions) converts it.
 const OLDEST: u8 = 0x11;
 const NEWEST: u8 = MAGIC[7];
 
@@ -147,7 +147,7 @@ impl FleetState {
             }
         };
         let decoded: Result<(Self, &[u8]), _> =
-            added::decode_version(version, || postcard::take_from_bytes(&bytes[MAGIC.len()..]));
+            versions::decode_version(version, || postcard::take_from_bytes(&bytes[MAGIC.len()..]));
         let malformed = |reason: String| StateError::Malformed { bytes: bytes.len(), reason };
         match decoded {
             Ok((state, [])) => Ok(state),

@@ -160,7 +160,8 @@ pub(crate) fn run_overdue(
             if steps == 0 {
                 continue;
             }
-            let row = window.open_towards(steps);
+            let (command, _) = columns.energy[slot / LANES].command(slot % LANES);
+            let row = window.open_towards(steps, command);
             lanes::set(columns.windows, slot, window);
             if let Some(row) = row {
                 batch.push(slot, &row);

@@ -1,7 +1,7 @@
-//! A state that the version before encoded is read, and forecasts go on with the same bits.
+//! States that versions before encoded are read, and forecasts go on with the same bits.
 //!
-//! `before.bin` is what 16f64ea6 encoded of the fleet of [`source`], and the [`digest`] of its next
-//! forecasts. No test writes it: this version would encode its own.
+//! The files of [`BEFORE`] are what 16f64ea6 and 5759d979 encoded of the fleet of [`source`], and the
+//! [`digest`] of its next forecasts. No test writes them: this version would encode its own.
 
 use std::fs;
 
@@ -10,7 +10,9 @@ use joulebus_predictor::Kernel;
 use joulebus_testkit_fleets::{self as world, PERIOD_NS, Source};
 use joulebus_wire::{Forecast, sample_flag};
 
-const PATH: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/states/before.bin");
+const STATES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/all/states");
+/// Files, and the versions of their encodings.
+const BEFORE: [(&str, u8); 2] = [("before.bin", 0x11), ("before-12.bin", 0x12)];
 const START_NS: u64 = 60_000 * world::MS;
 
 /// Seven robots of three platforms. One loses samples, one is charged, and one leaves.
@@ -66,17 +68,24 @@ fn source() -> (Fleet, Source) {
 }
 
 #[test]
-fn a_state_of_the_version_before_is_read_and_forecasts_go_on_with_its_bits() {
-    let bytes = fs::read(PATH).expect("it is part of the repository");
-    let (state, expected) = bytes.split_last_chunk::<8>().expect("it ends with a digest");
-    assert!(state.starts_with(b"jbstate\x11"), "another version encoded it");
+fn states_of_the_versions_before_are_read_and_forecasts_go_on_with_their_bits() {
+    for (file, version) in BEFORE {
+        let bytes = fs::read(format!("{STATES}/{file}")).expect("it is part of the repository");
+        let (state, expected) = bytes.split_last_chunk::<8>().expect("it ends with a digest");
+        assert!(state.starts_with(b"jbstate") && state[7] == version, "{file}: another version");
+        assert!(!FleetState::is_of_this_version(state));
+        let state = FleetState::decode(state).expect("the versions before are read");
+        goes_on(&state, expected);
+    }
     // An older one is refused by its name.
     let older = FleetState::decode(b"jbstate\x10").unwrap_err();
     assert!(matches!(older, StateError::Version { oldest: 0x11, .. }), "{older}");
-    let state = FleetState::decode(state).expect("the version before is read");
+}
+
+fn goes_on(state: &FleetState, expected: &[u8; 8]) {
     let (mut now, mut source) = source();
     let mut fleet = world::fleet_of(16, world::models_on(Kernel::Scalar));
-    fleet.restore_state(&state).expect("the same settings and models");
+    fleet.restore_state(state).expect("the same settings and models");
     for robot in [7, 8, 9] {
         let [before, after] = [&fleet, &now].map(|fleet| world::budget(fleet, robot));
         assert!((before.soc - after.soc).abs() < 0.05, "{before:?} {after:?}");

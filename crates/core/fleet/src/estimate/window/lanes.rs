@@ -1,10 +1,11 @@
 //! Windows of a block of robots.
 
 use joulebus_predictor::ReadingAge;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::{LagLanes, Lags, Window};
 use crate::layout::lanes::{Block, LANES, Lanes, put};
+use crate::layout::versions::{NARROW, before};
 
 /// The windows of a block.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
@@ -14,20 +15,28 @@ pub(crate) struct WindowLanes {
     open: LagLanes,
 }
 
-const _: () = assert!(size_of::<WindowLanes>() == 64 * LANES);
+const _: () = assert!(size_of::<WindowLanes>() == 56 * LANES);
 
 /// The windows without their open-loop part.
 #[derive(Debug, Clone, Copy, Default, Serialize, Deserialize)]
 #[repr(align(64))]
 pub(crate) struct ClosedLanes {
     closed: LagLanes,
-    v_mps: Lanes<f32>,
-    omega_radps: Lanes<f32>,
+    #[serde(deserialize_with = "read_after_commands")]
     open_steps: Lanes<u16>,
     unread_steps: Lanes<u16>,
     have: Lanes<u8>,
     commanded: Lanes<bool>,
     reading_age: [Lanes<u8>; 2],
+}
+
+/// Reads the column behind that of the commands, which windows had before 0x13: the energy states
+/// have the same.
+fn read_after_commands<'de, D>(from: D) -> Result<Lanes<u16>, D::Error>
+where
+    D: Deserializer<'de>,
+{
+    before(NARROW, from, |(_, steps): ([Lanes<f32>; 2], Lanes<u16>)| steps)
 }
 
 impl ClosedLanes {
@@ -38,8 +47,6 @@ impl ClosedLanes {
         Window {
             closed: self.closed.get(lane),
             open: Lags::EMPTY,
-            v_mps: self.v_mps[lane],
-            omega_radps: self.omega_radps[lane],
             open_steps: self.open_steps[lane],
             unread_steps: self.unread_steps[lane],
             have: self.have[lane],
@@ -51,8 +58,6 @@ impl ClosedLanes {
     #[inline(always)]
     pub(crate) fn put(&mut self, lane: usize, mask: bool, robot: &Window) {
         self.closed.set(lane, mask, robot.closed);
-        put(&mut self.v_mps[lane], mask, robot.v_mps);
-        put(&mut self.omega_radps[lane], mask, robot.omega_radps);
         put(&mut self.open_steps[lane], mask, robot.open_steps);
         put(&mut self.unread_steps[lane], mask, robot.unread_steps);
         put(&mut self.have[lane], mask, robot.have);

@@ -69,15 +69,20 @@ pub(crate) fn step_block(
     }
     read_lasts(lasts, &samples, mask, &elapsed_s, &network_w);
     let mut steps = const { StepLanes::all(&Step::NONE) };
-    read_windows(context.required, &mut windows.closed, &samples, mask, &elapsed_s, &mut steps);
+    let energy = &mut columns.energy[block];
+    let mut before = [(0.0, 0.0); LANES];
+    for lane in 0..LANES {
+        (before[lane], _) = energy.command(lane);
+    }
+    let after = (&before, &elapsed_s);
+    read_windows(context.required, &mut windows.closed, &samples, mask, after, &mut steps);
     qualify(context.required, lasts, &samples, mask, windows, &steps);
     store_expected(&mut columns.pending[block], mask, &steps);
     adapt_intervals(context, intervals, &samples, &steps);
     let admissions = &columns.admissions[first..first + LANES];
-    let energy = &mut columns.energy[block];
     let levels = &columns.levels[block];
     observe_energy(context, energy, &samples, mask, &elapsed_s, |lane| {
-        (admissions[lane].id, levels.get(lane).shown(&context.levels))
+        (admissions[lane].id, levels.get(lane).shown())
     });
     // Admissions are stored by robot, not by lane, so this loop may branch.
     for lane in (0..LANES).filter(|lane| mask[*lane]) {
@@ -138,7 +143,7 @@ fn observe_energy(
     samples: &PendingLanes,
     mask: Lanes<bool>,
     elapsed_s: &Lanes<f32>,
-    robot: impl Fn(usize) -> (u32, [Option<f32>; 2]),
+    robot: impl Fn(usize) -> (u32, Option<f32>),
 ) {
     let (mut v_mps, mut omega_radps) = ([f32::NAN; LANES], [f32::NAN; LANES]);
     let (mut working_s, mut charging) = (*elapsed_s, [false; LANES]);
@@ -187,7 +192,7 @@ fn read_windows(
     windows: &mut ClosedLanes,
     samples: &PendingLanes,
     mask: Lanes<bool>,
-    elapsed_s: &Lanes<f32>,
+    (before, elapsed_s): (&Lanes<(f32, f32)>, &Lanes<f32>),
     steps: &mut StepLanes,
 ) {
     // A copy: in place, this loop is not vectorised.
@@ -195,7 +200,8 @@ fn read_windows(
     for lane in 0..LANES {
         let mut window = copy.get(lane);
         let forecast_w = (window.close(Gap::None), true);
-        let step = read(required, &mut window, &samples.get(lane), forecast_w, elapsed_s[lane]);
+        let after = (before[lane], elapsed_s[lane]);
+        let step = read(required, &mut window, &samples.get(lane), forecast_w, after);
         copy.put(lane, mask[lane], &window);
         let expected_w = if mask[lane] { step.expected_w } else { f32::NAN };
         steps.set(lane, true, Step { expected_w, ready: mask[lane] & step.ready, ..step });

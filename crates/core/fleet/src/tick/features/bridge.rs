@@ -28,7 +28,8 @@ pub(crate) fn bridge(context: &PlatformContext, columns: &mut ColumnsMut<'_>, ba
         batch.clear();
         for slot in late.iter().map(|slot| *slot as usize) {
             if let (_, mut window, Gap::Bridge(steps)) = look(columns, slot) {
-                let row = window.open_towards(steps);
+                let (command, _) = columns.energy[slot / LANES].command(slot % LANES);
+                let row = window.open_towards(steps, command);
                 lanes::set(columns.windows, slot, window);
                 if let Some(row) = row {
                     batch.push(slot, &row);

@@ -34,6 +34,7 @@ pub(crate) fn step(
     }
     let forecast_w = window.close(gap);
     let elapsed_s = seconds(elapsed_ns);
+    let (before, _) = columns.energy[block].command(lane);
     last.seq = pending.seq;
     let step = if pending.read() {
         let mut network_w = forecast_w;
@@ -55,13 +56,13 @@ pub(crate) fn step(
         // After a gap it does not represent the power during it.
         last.read(pending, network_w, elapsed_s.min(seconds(context.platform.period_ns)));
         let forecast_w = (forecast_w, gap == Gap::None);
-        let step = read(context.required, &mut window, pending, forecast_w, elapsed_s);
+        let step = read(context.required, &mut window, pending, forecast_w, (before, elapsed_s));
         let quality = quality(context.required, pending, window.have(), step.ready);
         (last.quality, last.quality_detail) = quality;
         step
     } else {
         last.residual_w = f32::NAN;
-        let step = miss(context, &mut window, pending, elapsed_s);
+        let step = miss(context, &mut window, pending, (before, elapsed_s));
         let quality = quality_unread(context.required, pending, &window, step.ready);
         (last.quality, last.quality_detail) = quality;
         step
@@ -74,8 +75,8 @@ pub(crate) fn step(
     energy.metered.advance(&context.energy.command, &sample);
     if let Some(errors) = context.learned_errors().filter(|_| energy.metered.has_ended()) {
         let new = energy.compare(&context.energy, errors.platform(), sample.power_w);
-        let of_levels = columns.levels[block].get(lane).shown(&context.levels);
-        errors.count((admission.id, of_levels), &new, pending.has(sample_flag::CHARGING));
+        let level = columns.levels[block].get(lane).shown();
+        errors.count((admission.id, level), &new, pending.has(sample_flag::CHARGING));
     }
     columns.energy[block].set(lane, true, energy);
     admission.accept(pending);
@@ -116,10 +117,15 @@ fn energy_sample(pending: &Pending, elapsed_s: f32, on_time: bool) -> EnergySamp
     }
 }
 
-/// Takes a sample without a reading, `elapsed_s` after the previous one.
-fn miss(context: &PlatformContext, window: &mut Window, pending: &Pending, elapsed_s: f32) -> Step {
+/// Takes a sample without a reading, `after` the previous one's command and that time, s.
+fn miss(
+    context: &PlatformContext,
+    window: &mut Window,
+    pending: &Pending,
+    after: ((f32, f32), f32),
+) -> Step {
     window.miss(context.longest_steps);
-    let (row, ready) = window.next_row(elapsed_s, pending.command(), context.required);
+    let (row, ready) = window.next_row(after, pending.command(), context.required);
     Step { expected_w: f32::NAN, due: false, row, ready }
 }
 
@@ -158,21 +164,21 @@ block! {
     }
 }
 
-/// Takes a sample with a reading, `elapsed_s` after the previous one. `forecast_w` is its forecast,
-/// one step ahead if `exact`.
+/// Takes a sample with a reading, `after` the previous one's command and that time, s. `forecast_w`
+/// is its forecast, one step ahead if `exact`.
 #[inline(always)]
 pub(crate) fn read(
     required: RequiredInputs,
     window: &mut Window,
     pending: &Pending,
     (forecast_w, exact): (f32, bool),
-    elapsed_s: f32,
+    after: ((f32, f32), f32),
 ) -> Step {
     // Only forecasts one step ahead are scored: the ones over a gap are of another kind.
     let one_step = exact & window.is_scored();
     let due = window.due();
     window.read(pending.power_w, !pending.has(sample_flag::HELD));
-    let (row, ready) = window.next_row(elapsed_s, pending.command(), required);
+    let (row, ready) = window.next_row(after, pending.command(), required);
     Step { expected_w: if one_step { forecast_w } else { f32::NAN }, due, row, ready }
 }
 

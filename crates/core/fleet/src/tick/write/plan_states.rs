@@ -30,6 +30,8 @@ impl<'a, 'b> PlanStateRows<'a, 'b> {
         let interval = self.block.intervals.get(lane).scale();
         let errors = &tick.platforms[usize::from(admission.platform)].errors;
         let energy = self.block.energy.state(lane, errors);
+        // Of an emptied window, too, the last sample's.
+        let (v_mps, omega_radps) = energy.command();
         let shown = (start.power_w, start.steps);
         let (quality, quality_detail) = quality_of(tick, &self.block, lane, shown);
         let (learns, learned) = self.learned.get(lane);
@@ -63,8 +65,8 @@ impl<'a, 'b> PlanStateRows<'a, 'b> {
             interval_steps,
             generation: admission.generation,
             stamp_ns: admission.stamp_ns,
-            v_mps: start.v_mps,
-            omega_radps: start.omega_radps,
+            v_mps,
+            omega_radps,
             lag1_w,
             lag2_w,
             lag3_w,
