@@ -42,7 +42,7 @@ use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
-use crate::layout::lanes::{LANES, Lanes, block, each, put};
+use crate::layout::lanes::{Block as _, LANES, Lanes, any, block, each, put};
 
 /// Deviations that the stack weighs: of the last reading, the network and the mean from the
 /// autoregression, and the level.
@@ -260,7 +260,9 @@ block! {
         innovation_w: [f32; STACKS] = [0.0; STACKS],
         /// r².
         square: f32 = 1.0,
-        due: bool = false,
+        pub due: bool = false,
+        /// Squared error of the stacks above that of the last reading, W².
+        excess: f32 = 0.0,
     }
 }
 
@@ -322,10 +324,26 @@ impl Online {
         reading_w: f32,
     ) {
         let update = self.update_weights(members, lag_w, due, reading_w);
+        if self.judges(due) {
+            self.judge(&update);
+        }
         self.update_rls(&update);
     }
 
-    /// Updates the weights: the first part of [`Online::learn`], before [`Online::update_rls`].
+    /// True if a reading is one of those by which the start is judged.
+    #[inline(always)]
+    pub(crate) const fn judges(&self, due: bool) -> bool {
+        due & (self.seen < FIRST)
+    }
+
+    /// Judges the start by a reading.
+    pub(crate) fn judge(&mut self, update: &RlsUpdate) {
+        self.excess += update.excess;
+        self.judged = self.judged.saturating_add(1);
+    }
+
+    /// Updates the weights: the first part of [`Online::learn`], before [`Online::update_rls`]. It
+    /// stores no bytes beside the numbers: with them the loop over robots becomes no vectors.
     #[inline(always)]
     pub(crate) fn update_weights(
         &mut self,
@@ -337,12 +355,8 @@ impl Online {
         let forecasts = self.member_forecasts(members, lag_w, self.network_w, due);
         let (members_w, u) = (forecasts.members_w, forecasts.u);
         let square = self.change_w * self.change_w;
-        let judges = due & (self.seen < FIRST);
         let wrong = |watts: f32| (watts - reading_w) * (watts - reading_w);
-        let excess = self.excess + (wrong(forecasts.both_w) - wrong(lag_w[0]));
-        let judged = self.judged.saturating_add(1);
-        put(&mut self.excess, judges, excess);
-        put(&mut self.judged, judges, judged);
+        let excess = wrong(forecasts.both_w) - wrong(lag_w[0]);
         let mut hedge = self.hedge(members.sceptic_loss, due);
         hedge.learn(each(members_w, |member_w| member_w - reading_w), COST * square);
         for member in 0..MEMBERS - 1 {
@@ -353,13 +367,13 @@ impl Online {
         put(&mut self.held_cost, !due, hedge.cost);
         let most_w = MAX_INNOVATION * self.change_w;
         let innovation_w = each(forecasts.stacks_w, |stack_w| within(reading_w - stack_w, most_w));
-        RlsUpdate { u, innovation_w, square, due }
+        RlsUpdate { u, innovation_w, square, due, excess }
     }
 
     /// A step of the recursive least squares, if a measurement was due.
     #[inline(always)]
     pub(crate) fn update_rls(&mut self, update: &RlsUpdate) {
-        let RlsUpdate { u, innovation_w, square, due } = *update;
+        let RlsUpdate { u, innovation_w, square, due, .. } = *update;
         // No loop: one around loops keeps the loop over robots from becoming vectors.
         const { assert!(STACKS == 2) };
         self.update_stack(0, u, innovation_w[0], square, due);
@@ -484,8 +498,6 @@ impl OnlineLanes {
         put(&mut self.due_cost[lane], mask, robot.due_cost);
         put(&mut self.held_above[lane], mask, robot.held_above);
         put(&mut self.held_cost[lane], mask, robot.held_cost);
-        put(&mut self.excess[lane], mask, robot.excess);
-        put(&mut self.judged[lane], mask, robot.judged);
     }
 
     /// Stores what [`Online::update_rls`] changes.
@@ -508,6 +520,22 @@ impl OnlineLanes {
         put(&mut self.mean_w[lane], mask, robot.mean_w);
         put(&mut self.change_w[lane], mask, robot.change_w);
         put(&mut self.seen[lane], mask, robot.seen);
+    }
+
+    /// Judges the starts of a block by its readings, where the mask is set.
+    #[inline(always)]
+    pub(crate) fn judge(&mut self, mask: &Lanes<bool>, updates: &RlsUpdateLanes) {
+        let mut judges = [false; LANES];
+        for lane in 0..LANES {
+            judges[lane] = mask[lane] & updates.due[lane] & (self.seen[lane] < FIRST);
+        }
+        if any(&judges) {
+            for lane in (0..LANES).filter(|lane| judges[*lane]) {
+                let mut robot = self.get(lane);
+                robot.judge(&updates.get(lane));
+                self.set(lane, true, robot);
+            }
+        }
     }
 
     /// True if the robot in a lane has just read the last of its first readings.

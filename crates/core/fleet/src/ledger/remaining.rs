@@ -30,6 +30,41 @@ block! {
     }
 }
 
+block! {
+    /// [`EnergyLeft`] of a robot.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct Left: UNKNOWN;
+
+    /// The same of the robots of a block.
+    #[derive(Debug, Clone, Copy)]
+    pub(crate) struct LeftLanes {
+        left: f64 = f64::NAN,
+        own_sd: f64 = f64::NAN,
+        monitor: f64 = f64::NAN,
+        below: f64 = f64::NAN,
+        above: f64 = f64::NAN,
+        range_sd: f64 = f64::NAN,
+    }
+}
+
+impl LeftLanes {
+    pub(crate) const UNKNOWN: Self = Self::all(&Left::UNKNOWN);
+}
+
+impl From<EnergyLeft> for Left {
+    #[inline(always)]
+    fn from(EnergyLeft { left, own_sd, monitor, below, above, range_sd }: EnergyLeft) -> Self {
+        Self { left, own_sd, monitor, below, above, range_sd }
+    }
+}
+
+impl From<Left> for EnergyLeft {
+    #[inline(always)]
+    fn from(Left { left, own_sd, monitor, below, above, range_sd }: Left) -> Self {
+        Self { left, own_sd, monitor, below, above, range_sd }
+    }
+}
+
 impl Remaining {
     /// Computes it from the state of charge and the mean power `mean_w`. `range_w`: its 90 %
     /// interval over a duration. `charging` states that nothing is drawn from the battery.

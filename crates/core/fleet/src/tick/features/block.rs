@@ -114,14 +114,17 @@ fn learn(
         scored[lane] = mask[lane] & window.is_scored();
     }
     let mut updates = const { RlsUpdateLanes::all(&RlsUpdate::NONE) };
+    // A copy: in place, this loop is not vectorised.
+    let before = *online;
     for lane in 0..LANES {
         let [a, b, c, d, e] = &lags_w;
         let lag_w = [a[lane], b[lane], c[lane], d[lane], e[lane]];
-        let mut robot = online.get(lane);
+        let mut robot = before.get(lane);
         let update = robot.update_weights(&members, &lag_w, due[lane], samples.power_w[lane]);
         updates.set(lane, true, update);
         online.set_losses(lane, scored[lane], &robot);
     }
+    online.judge(&scored, &updates);
     for lane in 0..LANES {
         let mut robot = online.get(lane);
         robot.update_rls(&updates.get(lane));

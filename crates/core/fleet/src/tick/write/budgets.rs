@@ -8,7 +8,7 @@ use joulebus_wire::{Budget, ChargeState, budget_flag};
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::ledger::battery::{At, BatteryLanes, BatteryState, Charging};
 use crate::ledger::counting::{Counting, Size};
-use crate::ledger::remaining::{Remaining, RemainingLanes};
+use crate::ledger::remaining::{Left, LeftLanes, Remaining, RemainingLanes};
 use crate::state::columns::BlockRef;
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::PlatformContext;
@@ -181,13 +181,28 @@ fn fill(
     let (platform, block) = (&context.platform, budgets.block);
     let counting = Counting::new(battery, platform);
     let mean_w = &block.lasts.mean_power_w;
+    // Copies, and a loop for each result: the compiler knows that no result changes what is read.
+    let (battery, mut left) = (*battery, LeftLanes::UNKNOWN);
+    let (mut remaining, mut pauses) = (RemainingLanes::UNKNOWN, [[0.0; LANES]; 2]);
+    let mut overdue_ns = [0; LANES];
+    for lane in 0..LANES {
+        overdue_ns[lane] = silent_ns[lane].saturating_sub(platform.period_ns);
+    }
     for lane in 0..LANES {
         let robot = batteries.get(lane);
-        let overdue_ns = silent_ns[lane].saturating_sub(platform.period_ns);
-        let estimate = estimate(&block, &robot, &counting, lane, overdue_ns);
-        let size = Size::new(battery, robot.size());
-        let of = (battery, &size);
-        let remaining = match &context.lasting {
+        let estimate = estimate(&block, &robot, &counting, lane, overdue_ns[lane]);
+        left.set(lane, true, Left::from(estimate));
+    }
+    for lane in 0..LANES {
+        let robot = batteries.get(lane);
+        let at = At::new(&block.ledgers.get(lane)).silent_for(overdue_ns[lane]);
+        (pauses[0][lane], pauses[1][lane]) = robot.paused(&counting, at);
+    }
+    for lane in 0..LANES {
+        let robot = batteries.get(lane);
+        let (size, estimate) = (Size::new(&battery, robot.size()), left.get(lane).into());
+        let of = (&battery, &size);
+        let of_robot = match &context.lasting {
             Some(lasting) => {
                 let longest = block.energy.longest_level(lane);
                 let power = lasting.of(longest, context.errors.platform());
@@ -200,10 +215,11 @@ fn fill(
                 Remaining::new(of, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
             }
         };
-        budgets.remaining.set(lane, mask[lane], remaining);
-        let at = At::new(&block.ledgers.get(lane)).silent_for(overdue_ns);
-        let (pause_s, pause) = robot.paused(&counting, at);
-        lanes::put(&mut budgets.pause_s[lane], mask[lane], pause_s);
-        lanes::put(&mut budgets.pause[lane], mask[lane], pause);
+        remaining.set(lane, true, of_robot);
+    }
+    for lane in 0..LANES {
+        budgets.remaining.set(lane, mask[lane], remaining.get(lane));
+        lanes::put(&mut budgets.pause_s[lane], mask[lane], pauses[0][lane]);
+        lanes::put(&mut budgets.pause[lane], mask[lane], pauses[1][lane]);
     }
 }
