@@ -24,8 +24,8 @@ use crate::features::{Features, INPUTS};
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Tiling {
-    /// Output-major for rows. Batch-major for columns, with an output-major remainder. This is the
-    /// fastest for every batch, and the default.
+    /// Output-major for rows. Batch-major for columns, and with AVX-512 for rows, with an
+    /// output-major remainder. This is the fastest for every batch, and the default.
     ByInput,
     /// Batch-major for whole vectors of robots: a vector holds one value of several robots.
     BatchMajor,
