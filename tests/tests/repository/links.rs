@@ -1,4 +1,5 @@
-//! Links of documents lead to files and headings, and the summary has every page of the book once.
+//! Links of documents lead to files and headings, the summary has every page of the book once, and
+//! the tests that RELIABILITY.md names exist.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -124,4 +125,73 @@ fn the_summary_has_every_page_of_the_book_once() {
     listed.sort();
     let pages: Vec<String> = pages.into_keys().filter(|path| path.starts_with("docs/")).collect();
     assert_eq!(listed, pages);
+}
+
+/// Lines of a package's sources that declare a function or a module, and its files.
+fn declared(package: &str) -> Vec<String> {
+    let name = match package {
+        "" => "joulebus-tests".to_owned(),
+        "joulebus" => package.to_owned(),
+        package => format!("joulebus-{package}"),
+    };
+    let mut open = vec![root().join("crates"), root().join("tests")];
+    let (mut found, mut below) = (Vec::new(), None);
+    while let Some(path) = open.pop() {
+        let manifest = fs::read_to_string(path.join("Cargo.toml")).unwrap_or_default();
+        if below.is_none() && manifest.contains(&format!("\nname = \"{name}\"\n")) {
+            open.clear();
+            below = Some(path.clone());
+        }
+        if path.is_dir() {
+            let entries = fs::read_dir(&path).unwrap().map(|entry| entry.unwrap().path());
+            open.extend(entries.filter(|path| !path.ends_with("target")));
+        } else if let Some(file) = below.as_ref().and_then(|below| path.strip_prefix(below).ok()) {
+            found.push(file.display().to_string());
+            let text = fs::read_to_string(&path).unwrap_or_default();
+            let lines = text.lines().filter(|line| line.contains("fn ") || line.contains("mod "));
+            found.extend(lines.map(str::to_owned));
+        }
+    }
+    assert!(!found.is_empty(), "there is no package {name}");
+    found
+}
+
+#[test]
+fn the_tests_that_reliability_names_exist() {
+    let page = fs::read_to_string(root().join("RELIABILITY.md")).unwrap();
+    let (mut known, mut checked, mut missing) = (BTreeMap::new(), 0, Vec::new());
+    let (mut is_of_tests, mut last) = (false, 0);
+    for (number, line) in prose(&page).filter(|(_, line)| line.starts_with("| ")) {
+        let cell = line.trim_end_matches([' ', '|']).rsplit('|').next().unwrap();
+        // Between the head of a table and its first row lies a line.
+        if number > last + 2 {
+            is_of_tests = cell.trim() == "test";
+        }
+        last = number;
+        // A name alone is of the package before it, or of the tests of the system.
+        let mut package = "";
+        for name in cell.split('`').skip(1).step_by(2).filter(|_| is_of_tests) {
+            checked += 1;
+            let (target, test) = match name.split_once(' ') {
+                Some(both) => both,
+                None if name.contains('/') => (name, ""),
+                None => ("", name),
+            };
+            if target.starts_with("tools/") {
+                missing.extend((!root().join(target).exists()).then_some((number, name)));
+                continue;
+            }
+            if !target.is_empty() {
+                package = target.split('/').next().unwrap();
+            }
+            let lines = known.entry(package).or_insert_with(|| declared(package));
+            // The parts of a filter are parts of the names of modules and functions.
+            let is_there = |part: &str| lines.iter().any(|line| line.contains(part));
+            if !test.split("::").all(is_there) {
+                missing.push((number, name));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "RELIABILITY.md names what is not there: {missing:#?}");
+    assert!(checked > 150, "only {checked} names were found");
 }

@@ -81,32 +81,18 @@ fn only_four_files_of_the_link_use_zenoh() {
 }
 
 #[test]
-fn only_the_bus_uses_iceoryx2() {
-    for member in members().iter().filter(|member| member.name != "bus") {
-        let found = places(
-            &member.directory.join("src"),
-            &["iceoryx2::", "iceoryx2_"],
-            &["wire/src/layout.rs"],
-        );
-        assert_eq!(found, Vec::<String>::new());
-    }
-}
-
-#[test]
-fn only_the_format_of_captures_uses_mcap() {
-    for member in members().iter().filter(|member| member.name != "capture-format") {
-        let found = places(&member.directory.join("src"), &["mcap::"], &[]);
-        assert_eq!(found, Vec::<String>::new());
-    }
-}
-
-#[test]
-fn no_program_reads_pickles() {
-    let words = ["pickle", "STACK_GLOBAL", "_rebuild_tensor"];
-    for member in members() {
-        // It names files that nobody reads.
-        let found = places(&member.directory.join("src"), &words, &["files/src/foreign.rs"]);
-        assert_eq!(found, Vec::<String>::new());
+fn only_the_bus_uses_iceoryx2_only_the_format_of_captures_mcap_and_no_program_reads_pickles() {
+    let rules: [(&str, &[&str], &[&str]); 3] = [
+        ("bus", &["iceoryx2::", "iceoryx2_"], &["wire/src/layout.rs"]),
+        ("capture-format", &["mcap::"], &[]),
+        // The file names what nobody reads.
+        ("", &["pickle", "STACK_GLOBAL", "_rebuild_tensor"], &["files/src/foreign.rs"]),
+    ];
+    for (user, words, files) in rules {
+        for member in members().iter().filter(|member| member.name != user) {
+            let found = places(&member.directory.join("src"), words, files);
+            assert_eq!(found, Vec::<String>::new());
+        }
     }
 }
 
@@ -134,6 +120,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "predictor-worker/src/checkpointer.rs",
         // From when to when certificates are valid.
         "link/src/certificates.rs",
+        // Times of lines of the log.
+        "program/src/logging.rs",
         // Times at which messages were sent, for their readers.
         "link/src/rmw.rs",
         // Times that a page shows beside its values.
