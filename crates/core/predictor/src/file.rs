@@ -3,10 +3,10 @@
 //! The header is written here instead of by the `safetensors` crate, whose order of metadata varies
 //! from run to run: the same model must give the same bytes.
 
+use hmac_sha256::Hash as Sha256;
 use joulebus_energy::EnergyModel;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
-use sha2::{Digest, Sha256};
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::str::FromStr;
 
 use crate::card::{ModelCard, ResidualStats, Scores, TrainedBlocks, TrainedRows, TrainingRange};
@@ -94,8 +94,8 @@ pub(crate) fn read(bytes: &[u8]) -> Result<(Parameters, ModelCard), ModelError> 
     }
     let (_, header) = SafeTensors::read_metadata(bytes)?;
     let tensors = SafeTensors::deserialize(bytes)?;
-    let empty = HashMap::new();
-    let metadata = Metadata(header.metadata().as_ref().unwrap_or(&empty));
+    let metadata = header.metadata().iter().flatten();
+    let metadata = Metadata(metadata.map(|(key, text)| (key.as_str(), text.as_str())).collect());
 
     metadata.must_be("format", FORMAT)?;
     metadata.must_be("format_version", VERSION)?;
@@ -357,11 +357,11 @@ fn read_tensor(
     Ok(words.iter().map(|word| f32::from_le_bytes(*word)).collect())
 }
 
-struct Metadata<'a>(&'a HashMap<String, String>);
+struct Metadata<'a>(BTreeMap<&'a str, &'a str>);
 
 impl Metadata<'_> {
     fn text(&self, field: &'static str) -> Result<&str, ModelError> {
-        self.0.get(field).map(String::as_str).ok_or(ModelError::MissingField { field })
+        self.0.get(field).copied().ok_or(ModelError::MissingField { field })
     }
 
     /// A text that people are shown, in terminals and pages.
@@ -408,15 +408,10 @@ impl Metadata<'_> {
 
 fn check_digest(metadata: &Metadata<'_>, tensors: &SafeTensors<'_>) -> Result<(), ModelError> {
     let stated = metadata.text("sha256")?;
-    let fields: BTreeMap<&str, &str> = metadata
-        .0
-        .iter()
-        .filter(|(key, _)| *key != "sha256")
-        .map(|(key, value)| (key.as_str(), value.as_str()))
-        .collect();
+    let fields = metadata.0.iter().filter(|(key, _)| **key != "sha256");
     let views: BTreeMap<&str, TensorView<'_>> = tensors.iter().collect();
     let found = hex(&digest(
-        fields.into_iter(),
+        fields.map(|(key, value)| (*key, *value)),
         views.iter().map(|(name, view)| (*name, view.shape(), view.data())),
     ));
     if found == stated {

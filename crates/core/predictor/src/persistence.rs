@@ -1,6 +1,6 @@
 //! The baseline that repeats the last reading.
 
-use sha2::{Digest, Sha256};
+use hmac_sha256::Hash as Sha256;
 
 use crate::card::ResidualStats;
 use crate::error::ModelError;

@@ -1,7 +1,7 @@
 //! Random numbers that are the same on every machine.
 
-use rand::Rng;
 use rand_pcg::Pcg64;
+use rand_pcg::rand_core::Rng;
 
 /// A seeded stream. Each robot and purpose has its own, so adding a robot changes no other stream.
 #[derive(Clone, Debug)]

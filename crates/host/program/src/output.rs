@@ -109,11 +109,7 @@ pub fn log_line(line: &str) {
 /// prints everything through this function.
 #[must_use]
 pub fn printable(text: &str) -> Cow<'_, str> {
-    escaped(text, is_unprintable)
-}
-
-fn escaped(text: &str, is_unprintable: impl Fn(char) -> bool) -> Cow<'_, str> {
-    if !text.contains(&is_unprintable) {
+    if !text.contains(is_unprintable) {
         return Cow::Borrowed(text);
     }
     let mut shown = String::with_capacity(text.len() + 16);
@@ -138,21 +134,6 @@ const fn is_directional(letter: char) -> bool {
         letter,
         '\u{200e}' | '\u{200f}' | '\u{061c}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}'
     )
-}
-
-/// stderr for lines of the log, whose control characters are escaped already, unless they colour it.
-pub(crate) struct LogLines;
-
-impl io::Write for LogLines {
-    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
-        let text = String::from_utf8_lossy(line);
-        io::stderr().write_all(escaped(&text, is_directional).as_bytes())?;
-        Ok(line.len())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        io::stderr().flush()
-    }
 }
 
 #[cfg(test)]

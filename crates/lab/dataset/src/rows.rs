@@ -2,9 +2,9 @@
 
 use std::collections::BTreeMap;
 
+use hmac_sha256::Hash as Sha256;
 use joulebus_predictor::{FEATURES, FeatureSet, Features, INPUTS, LAGS, ReadingAge, features};
 use joulebus_wire::{Sample, sample_flag};
-use sha2::{Digest as _, Sha256};
 
 use crate::trial::Trial;
 

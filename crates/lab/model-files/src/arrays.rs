@@ -1,6 +1,6 @@
 //! The numbers of a network, under the names that exported files have.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
 use joulebus_predictor::{ModelError, Network};
 use safetensors::SafeTensors;
@@ -72,8 +72,7 @@ pub(super) fn arrays(network: &Network) -> Vec<Array> {
 /// The metadata of a model file, as JSON with sorted keys.
 pub(super) fn metadata(file: &[u8]) -> Result<String, ModelError> {
     let (_, header) = SafeTensors::read_metadata(file)?;
-    let empty = HashMap::new();
-    let fields = header.metadata().as_ref().unwrap_or(&empty);
-    // `Value` sorts its keys, so the same model gives the same bytes.
+    // Sorted, so the same model gives the same bytes.
+    let fields: BTreeMap<_, _> = header.metadata().iter().flatten().collect();
     Ok(serde_json::json!(fields).to_string())
 }

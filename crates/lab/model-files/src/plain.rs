@@ -1,12 +1,12 @@
 //! Plain networks: safetensors with fixed names, as `joulebus.models.convert` of the Python package
 //! writes them.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 
+use hmac_sha256::Hash as Sha256;
 use joulebus_predictor::{FEATURES, FeatureSet, HIDDEN, LAGS, Layer};
 use safetensors::SafeTensors;
 use safetensors::tensor::Dtype;
-use sha2::{Digest as _, Sha256};
 
 use crate::convention::{
     ACTIVATIONS, CommandConvention, Convention, DERIVATIVES, LAG_PLACES, MAGNITUDES, ORDERS, UNITS,
@@ -67,8 +67,9 @@ impl Plain {
             |error: safetensors::SafeTensorError| PlainError::Container(error.to_string());
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(container)?;
         let file = SafeTensors::deserialize(bytes).map_err(container)?;
-        let empty = HashMap::new();
-        let metadata = header.metadata().as_ref().unwrap_or(&empty);
+        let metadata = header.metadata().iter().flatten();
+        let metadata: BTreeMap<&str, &str> =
+            metadata.map(|(name, text)| (name.as_str(), text.as_str())).collect();
 
         let layers = layers(&file)?;
         let widths: Vec<usize> = layers.iter().map(|layer| layer.bias.len()).collect();
@@ -91,13 +92,13 @@ impl Plain {
             let std = statistic(&file, &format!("{quantity}_std"), count, true)?;
             Ok(mean.into_iter().zip(std).collect())
         };
-        let text = |name: &str| metadata.get(name).map_or("", String::as_str);
+        let text = |name: &str| metadata.get(name).copied().unwrap_or_default();
         let plain = Plain {
-            convention: convention(metadata, inputs == FEATURES)?,
+            convention: convention(&metadata, inputs == FEATURES)?,
             layers,
             inputs: pair("feature", inputs)?,
             power: pair("power", 1)?[0],
-            sha256: Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect(),
+            sha256: Sha256::hash(bytes).iter().map(|byte| format!("{byte:02x}")).collect(),
             source: format!("{} {}", text("source"), text("source_sha256")).trim().to_owned(),
         };
         plain.check_stated_statistics()?;
@@ -254,7 +255,7 @@ fn statistic(
 
 /// The convention that the metadata state.
 fn convention(
-    metadata: &HashMap<String, String>,
+    metadata: &BTreeMap<&str, &str>,
     has_command: bool,
 ) -> Result<Convention, PlainError> {
     let command = || -> Result<CommandConvention, PlainError> {
@@ -274,7 +275,7 @@ fn convention(
 }
 
 fn stated<T: Copy>(
-    metadata: &HashMap<String, String>,
+    metadata: &BTreeMap<&str, &str>,
     key: &str,
     names: &[(T, &'static str)],
 ) -> Result<T, PlainError> {

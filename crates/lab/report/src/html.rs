@@ -1,6 +1,6 @@
 //! A report as one self-contained HTML file: its tables, and its data as JSON, which uPlot draws.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::fmt::{self, Display, Write as _};
 
 use super::document::{Document, Part, Section, Table};
 use super::figure::Figure;
@@ -19,92 +19,126 @@ const LIBRARY_LICENCE: &str = include_str!("uPlot.LICENSE");
 pub fn html(document: &Document) -> Result<String, serde_json::Error> {
     // In a script only `<` could end it.
     let data = serde_json::to_string(document)?.replace('<', "\\u003c");
-    let page = html! {
-        (DOCTYPE)
-        html lang="en" {
-            head {
-                meta charset="utf-8";
-                meta name="viewport" content="width=device-width, initial-scale=1";
-                meta name="color-scheme" content="light dark";
-                title { (document.title) }
-                style { (PreEscaped(LIBRARY_STYLE)) (PreEscaped(STYLE)) }
-            }
-            body {
-                header {
-                    h1 { (document.title) }
-                    @if let Some(warning) = &document.warning {
-                        p.warning role="note" { (warning) }
-                    }
-                    @for words in &document.summary { p { (words) } }
-                    noscript { p.warning {
-                        "The figures need JavaScript. The tables have their numbers."
-                    } }
-                }
-                nav aria-label="Contents" {
-                    ol { @for section in &document.sections {
-                        li { a href={ "#" (section.id) } { (section.title) } }
-                    } }
-                }
-                main { @for part in &document.sections { (section(part)) } }
-                script type="application/json" id="data" { (PreEscaped(data)) }
-                script { "/*\n" (PreEscaped(LIBRARY_LICENCE)) "*/\n" (PreEscaped(LIBRARY)) }
-                script { (PreEscaped(SCRIPT)) }
-            }
-        }
-    };
-    Ok(page.into_string())
+    let mut page = String::new();
+    // Writing to a string cannot fail.
+    let _ = write_page(&mut page, document, &data);
+    Ok(page)
 }
 
-fn section(section: &Section) -> Markup {
-    html! {
-        section id=(section.id) {
-            h2 { (section.title) }
-            @for part in &section.parts {
-                @match part {
-                    Part::Words(words) => p { (words) },
-                    Part::Table(shown) if shown.folded => {
-                        details { summary { "Numbers: " (shown.caption) } (table(shown)) }
-                    }
-                    Part::Table(shown) => (table(shown)),
-                    Part::Figure(drawn) => (figure(drawn)),
-                }
+/// Text between tags or in quotes: everything that is not of this file goes through it.
+struct Text<'a>(&'a str);
+
+impl Display for Text<'_> {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for letter in self.0.chars() {
+            match letter {
+                '&' => out.write_str("&amp;")?,
+                '<' => out.write_str("&lt;")?,
+                '>' => out.write_str("&gt;")?,
+                '"' => out.write_str("&quot;")?,
+                letter => out.write_char(letter)?,
             }
         }
+        Ok(())
     }
+}
+
+fn write_page(out: &mut String, document: &Document, data: &str) -> fmt::Result {
+    let title = Text(&document.title);
+    write!(
+        out,
+        "<!DOCTYPE html><html lang=\"en\"><head><meta charset=\"utf-8\">\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
+         <meta name=\"color-scheme\" content=\"light dark\"><title>{title}</title>\
+         <style>{LIBRARY_STYLE}{STYLE}</style></head><body><header><h1>{title}</h1>"
+    )?;
+    if let Some(warning) = &document.warning {
+        write!(out, "<p class=\"warning\" role=\"note\">{}</p>", Text(warning))?;
+    }
+    for words in &document.summary {
+        write!(out, "<p>{}</p>", Text(words))?;
+    }
+    out.push_str(
+        "<noscript><p class=\"warning\">The figures need JavaScript. The tables have their \
+         numbers.</p></noscript></header><nav aria-label=\"Contents\"><ol>",
+    );
+    for section in &document.sections {
+        let (id, title) = (Text(&section.id), Text(&section.title));
+        write!(out, "<li><a href=\"#{id}\">{title}</a></li>")?;
+    }
+    out.push_str("</ol></nav><main>");
+    for section in &document.sections {
+        write_section(out, section)?;
+    }
+    write!(
+        out,
+        "</main><script type=\"application/json\" id=\"data\">{data}</script>\
+         <script>/*\n{LIBRARY_LICENCE}*/\n{LIBRARY}</script><script>{SCRIPT}</script></body></html>"
+    )
+}
+
+fn write_section(out: &mut String, section: &Section) -> fmt::Result {
+    let (id, title) = (Text(&section.id), Text(&section.title));
+    write!(out, "<section id=\"{id}\"><h2>{title}</h2>")?;
+    for part in &section.parts {
+        match part {
+            Part::Words(words) => write!(out, "<p>{}</p>", Text(words))?,
+            Part::Table(shown) if shown.folded => {
+                let caption = Text(&shown.caption);
+                write!(out, "<details><summary>Numbers: {caption}</summary>")?;
+                write_table(out, shown)?;
+                out.push_str("</details>");
+            }
+            Part::Table(shown) => write_table(out, shown)?,
+            Part::Figure(drawn) => write_figure(out, drawn)?,
+        }
+    }
+    out.push_str("</section>");
+    Ok(())
 }
 
 /// A figure, whose panels the script draws.
-fn figure(figure: &Figure) -> Markup {
-    html! {
-        figure id=(figure.name) {
-            div.panels {}
-            figcaption {
-                strong { (figure.title) } " " (figure.description)
-                @if let Some(note) = &figure.note { " " em { "(" (note) ")" } }
-            }
-        }
+fn write_figure(out: &mut String, figure: &Figure) -> fmt::Result {
+    let (name, title) = (Text(&figure.name), Text(&figure.title));
+    let description = Text(&figure.description);
+    write!(
+        out,
+        "<figure id=\"{name}\"><div class=\"panels\"></div>\
+         <figcaption><strong>{title}</strong> {description}"
+    )?;
+    if let Some(note) = &figure.note {
+        write!(out, " <em>({})</em>", Text(note))?;
     }
+    out.push_str("</figcaption></figure>");
+    Ok(())
 }
 
-fn table(table: &Table) -> Markup {
-    html! {
-        div.scroll tabindex="0" role="region" aria-label=(table.caption) {
-            table id=(table.id) {
-                caption { (table.caption) }
-                thead { tr { @for (at, column) in table.columns.iter().enumerate() {
-                    th scope="col" class=[table.is_of_numbers(at).then_some("number")] {
-                        (column.title)
-                    }
-                } } }
-                tbody { @for row in &table.rows { tr {
-                    @for (at, cell) in row.iter().enumerate() {
-                        @if at == 0 { th scope="row" { (cell.shown()) } }
-                        @else {
-                            td class=[table.is_of_numbers(at).then_some("number")] { (cell.shown()) }
-                        }
-                    }
-                } } }
+fn write_table(out: &mut String, table: &Table) -> fmt::Result {
+    let (id, caption) = (Text(&table.id), Text(&table.caption));
+    write!(
+        out,
+        "<div class=\"scroll\" tabindex=\"0\" role=\"region\" aria-label=\"{caption}\">\
+         <table id=\"{id}\"><caption>{caption}</caption><thead><tr>"
+    )?;
+    let class = |at: usize| match table.is_of_numbers(at) {
+        true => " class=\"number\"",
+        false => "",
+    };
+    for (at, column) in table.columns.iter().enumerate() {
+        write!(out, "<th scope=\"col\"{}>{}</th>", class(at), Text(&column.title))?;
+    }
+    out.push_str("</tr></thead><tbody>");
+    for row in &table.rows {
+        out.push_str("<tr>");
+        for (at, cell) in row.iter().enumerate() {
+            let shown = cell.shown();
+            match at {
+                0 => write!(out, "<th scope=\"row\">{}</th>", Text(&shown))?,
+                _ => write!(out, "<td{}>{}</td>", class(at), Text(&shown))?,
             }
         }
+        out.push_str("</tr>");
     }
+    out.push_str("</tbody></table></div>");
+    Ok(())
 }

@@ -1,7 +1,5 @@
 //! Checkpoints of a training run.
 
-use std::collections::HashMap;
-
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors, serialize};
 use thiserror::Error;
@@ -41,13 +39,14 @@ impl Training {
                 .expect("four bytes per number of the shape");
             (*name, view)
         });
-        let metadata = HashMap::from([
+        let metadata = [
             ("format".to_owned(), FORMAT.to_owned()),
             ("settings".to_owned(), json(&self.settings)),
             ("data_sha256".to_owned(), self.dataset.sha256(self.settings.feature_set)),
             ("epochs".to_owned(), json(&self.epochs)),
             ("steps".to_owned(), self.adam.steps.to_string()),
-        ]);
+        ];
+        let metadata = metadata.into_iter().collect();
         serialize(views, Some(metadata)).expect("names are distinct and sizes match")
     }
 

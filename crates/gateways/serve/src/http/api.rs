@@ -160,9 +160,7 @@ async fn metrics_text(State(app): State<Arc<App>>, Extension(peer): Extension<Pe
         _ => outlooks(&app, peer, None).await.unwrap_or_default(),
     };
     let limits = (app.config.fleet(), app.metrics_robots);
-    let text = metrics::text(&app.newest(), outlooks, now_ns, limits);
-    let text =
-        text.map_err(|error| ApiError::new(StatusCode::INTERNAL_SERVER_ERROR, error.to_string()))?;
+    let text = metrics::text(&app.newest(), &outlooks, now_ns, limits);
     Ok(typed(metrics::KIND, text))
 }
 

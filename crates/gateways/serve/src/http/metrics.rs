@@ -1,17 +1,12 @@
 //! A snapshot in Prometheus's text format, which every scraper reads.
 
-use std::fmt;
-use std::sync::Arc;
+use std::fmt::{Display, Write as _};
 
 use joulebus_board::{Counted, UPPER_S};
 use joulebus_wire::{
     Alarm, AlarmCard, Budget, Diagnostic, Forecast, OUTLOOK_S, Outlook, budget_flag,
     diagnostic_flag, forecast_flag,
 };
-use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{DescriptorEncoder, EncodeLabelSet, NoLabelSet};
-use prometheus_client::metrics::MetricType;
-use prometheus_client::registry::{Registry, Unit};
 
 use super::entry::Entry;
 use super::snapshot::Snapshot;
@@ -19,112 +14,176 @@ use super::snapshot::Snapshot;
 /// The type of the text.
 pub(super) const KIND: &str = "text/plain; version=0.0.4; charset=utf-8";
 
-/// OpenMetrics, which the encoder writes, in Prometheus's own format: counters and infos are typed under their samples' names, and
-/// an info is a gauge.
-fn classic(open: &str) -> String {
-    let mut text = String::with_capacity(open.len());
-    let mut help = "";
-    for line in open.lines() {
-        if let Some(rest) = line.strip_prefix("# HELP ") {
-            help = rest.split_once(' ').map_or("", |(_, help)| help);
-        } else if let Some((name, kind)) =
-            line.strip_prefix("# TYPE ").and_then(|typed| typed.split_once(' '))
-        {
-            let (suffix, kind) = match kind {
-                "counter" => ("_total", kind),
-                "info" => ("_info", "gauge"),
-                "unknown" => ("", "untyped"),
-                _ => ("", kind),
-            };
-            for part in ["# HELP ", name, suffix, " ", help, "\n# TYPE ", name, suffix] {
-                text.push_str(part);
-            }
-            for part in [" ", kind, "\n"] {
-                text.push_str(part);
-            }
-        } else if !line.starts_with('#') {
-            text.push_str(line);
-            text.push('\n');
-        }
-    }
-    text
-}
-
 /// The metrics at `now_ns` (monotonic). At most `max_robots` robots have series of their own,
 /// those with the smallest ids.
 pub(super) fn text(
-    snapshot: &Arc<Snapshot>,
-    outlooks: Vec<Outlook>,
+    snapshot: &Snapshot,
+    outlooks: &[Outlook],
     now_ns: u64,
     (fleet, max_robots): (&str, usize),
-) -> Result<String, fmt::Error> {
-    let mut registry =
-        Registry::with_labels([("fleet".into(), fleet.to_owned().into())].into_iter());
-    registry.register_collector(Box::new(Metrics {
-        snapshot: Arc::clone(snapshot),
-        outlooks,
-        now_ns,
-        max_robots,
-    }));
-    let mut text = String::new();
-    prometheus_client::encoding::text::encode(&mut text, &registry)?;
-    Ok(classic(&text))
+) -> String {
+    let metrics = Metrics { snapshot, outlooks, now_ns, max_robots };
+    let mut families = Families { fleet: label("fleet", &fleet), text: String::new() };
+    metrics.worker(&mut families);
+    metrics.counts(&mut families);
+    metrics.fleet(&mut families);
+    metrics.robots(&mut families);
+    families.text
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Kind {
+    Counter,
+    Gauge,
+    Histogram,
+    Info,
+}
+
+/// Families of metrics, one after the other, each with its series.
+struct Families {
+    /// The label that every series has.
+    fleet: String,
+    text: String,
+}
+
+impl Families {
+    /// Begins a family, and returns the name of its samples.
+    fn begin(&mut self, name: &str, help: &str, unit: Option<&str>, kind: Kind) -> String {
+        let unit = unit.map(|unit| format!("_{unit}")).unwrap_or_default();
+        let (suffix, typed) = match kind {
+            Kind::Counter => ("_total", "counter"),
+            Kind::Gauge => ("", "gauge"),
+            Kind::Histogram => ("", "histogram"),
+            Kind::Info => ("_info", "gauge"),
+        };
+        let name = format!("{name}{unit}{suffix}");
+        self.line(format_args!("# HELP {name} {help}"));
+        self.line(format_args!("# TYPE {name} {typed}"));
+        name
+    }
+
+    fn line(&mut self, line: impl Display) {
+        // Writing to a string cannot fail.
+        let _ = writeln!(self.text, "{line}");
+    }
+
+    fn sample<L: Display>(&mut self, name: &str, labels: &[(&str, L)], value: impl Display) {
+        let _ = write!(self.text, "{name}{{{}", self.fleet);
+        for (key, of) in labels {
+            let _ = write!(self.text, ",{}", label(key, of));
+        }
+        self.line(format_args!("}} {value}"));
+    }
+
+    fn counter(&mut self, name: &str, help: &str, unit: Option<&str>, value: impl Display) {
+        let name = self.begin(name, help, unit, Kind::Counter);
+        self.sample(&name, &NO_LABELS, value);
+    }
+
+    fn gauge(&mut self, name: &str, help: &str, value: f64) {
+        self.gauges(name, help, None, [(NO_LABELS, value)]);
+    }
+
+    fn gauges<'a, L: Display>(
+        &mut self,
+        name: &str,
+        help: &str,
+        unit: Option<&str>,
+        series: impl IntoIterator<Item = (impl AsRef<[(&'a str, L)]>, f64)>,
+    ) {
+        let name = self.begin(name, help, unit, Kind::Gauge);
+        for (labels, value) in series {
+            self.sample(&name, labels.as_ref(), Number(value));
+        }
+    }
+
+    fn by_reason(
+        &mut self,
+        name: &str,
+        help: &str,
+        counts: impl Iterator<Item = (&'static str, u64)>,
+    ) {
+        let name = self.begin(name, help, None, Kind::Counter);
+        for (reason, count) in counts {
+            self.sample(&name, &[("reason", reason)], count);
+        }
+    }
+
+    fn histogram(&mut self, name: &str, help: &str, counted: &Counted) {
+        let name = self.begin(name, help, Some(SECONDS), Kind::Histogram);
+        let sum_s = counted.sum_ns as f64 * 1e-9;
+        self.sample(&format!("{name}_sum"), &NO_LABELS, Number(sum_s));
+        let count: u64 = counted.counts.iter().sum();
+        self.sample(&format!("{name}_count"), &NO_LABELS, count);
+        let bucket = format!("{name}_bucket");
+        let mut cumulative = 0;
+        for (upper_s, count) in UPPER_S.into_iter().chain([f64::INFINITY]).zip(counted.counts) {
+            cumulative += count;
+            self.sample(&bucket, &[("le", Number(upper_s))], cumulative);
+        }
+    }
+}
+
+/// A number as the format writes it.
+struct Number(f64);
+
+impl Display for Number {
+    fn fmt(&self, out: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.0 {
+            f64::INFINITY => out.write_str("+Inf"),
+            f64::NEG_INFINITY => out.write_str("-Inf"),
+            // As a float, also if it is whole.
+            value => write!(out, "{value:?}"),
+        }
+    }
+}
+
+fn label(key: &str, value: &impl Display) -> String {
+    let value = value.to_string().replace('\\', r"\\").replace('"', "\\\"").replace('\n', r"\n");
+    format!("{key}=\"{value}\"")
 }
 
 #[derive(Debug)]
-struct Metrics {
-    snapshot: Arc<Snapshot>,
-    outlooks: Vec<Outlook>,
+struct Metrics<'a> {
+    snapshot: &'a Snapshot,
+    outlooks: &'a [Outlook],
     now_ns: u64,
     max_robots: usize,
 }
 
 /// The labels of a metric without labels.
 const NO_LABELS: [(&str, &str); 0] = [];
+const JOULES: &str = "joules";
+const RATIO: &str = "ratio";
+const SECONDS: &str = "seconds";
+const WATTS: &str = "watts";
 
 type Labels = Vec<(&'static str, String)>;
 
-impl Collector for Metrics {
-    fn encode(&self, mut encoder: DescriptorEncoder) -> fmt::Result {
-        self.worker(&mut encoder)?;
-        self.counts(&mut encoder)?;
-        self.fleet(&mut encoder)?;
-        self.robots(&mut encoder)
-    }
-}
-
-impl Metrics {
-    fn worker(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
-        let mut info = encoder.encode_descriptor(
-            "joulebus_build",
-            "Version of joulebus-serve",
-            None,
-            MetricType::Info,
-        )?;
-        info.encode_info(&vec![("version", env!("CARGO_PKG_VERSION"))])?;
+impl Metrics<'_> {
+    fn worker(&self, families: &mut Families) {
+        let build = families.begin("joulebus_build", "Version of joulebus-serve", None, Kind::Info);
+        families.sample(&build, &[("version", env!("CARGO_PKG_VERSION"))], 1);
         let up = self.snapshot.why_not_up(self.now_ns).is_none();
-        gauge(
-            encoder,
+        families.gauge(
             "joulebus_worker_up",
             "1 while frames of a worker arrive in time and are read, else 0",
             up.into(),
-        )?;
+        );
         let counters = &self.snapshot.accumulated;
-        histogram(
-            encoder,
+        families.histogram(
             "joulebus_tick",
             "Time from a tick's begin to its last forecast written",
             &counters.tick,
-        )?;
-        histogram(
-            encoder,
+        );
+        families.histogram(
             "joulebus_forecast_latency",
             "Time from a sample sent to its forecast sent",
             &counters.latency,
-        )
+        );
     }
 
-    fn counts(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+    fn counts(&self, families: &mut Families) {
         let counters = &self.snapshot.accumulated;
         for (name, help, count) in [
             ("joulebus_ticks", "Ticks done", counters.ticks),
@@ -149,22 +208,20 @@ impl Metrics {
                 counters.queries.answered,
             ),
         ] {
-            let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
-            metric.encode_counter::<NoLabelSet, u64, f64>(&count, None)?;
+            families.counter(name, help, None, count);
         }
         let dropped = counters.samples_dropped.iter();
         let dropped = dropped.map(|(reason, count)| (reason.name(), count));
-        by_reason(encoder, "joulebus_samples_dropped", "Samples that the worker dropped", dropped)?;
+        families.by_reason("joulebus_samples_dropped", "Samples that the worker dropped", dropped);
         let refused = counters.queries.iter().map(|(reason, count)| (reason.name(), count));
-        by_reason(
-            encoder,
+        families.by_reason(
             "joulebus_questions_refused",
             "Questions about plans that the worker refused",
             refused,
-        )
+        );
     }
 
-    fn fleet(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+    fn fleet(&self, families: &mut Families) {
         let totals = &self.snapshot.fleet.totals;
         let levels = [
             ("ok", totals.ok),
@@ -173,7 +230,7 @@ impl Metrics {
             ("stale", totals.stale),
         ];
         let levels = levels.map(|(level, count)| (vec![("level", level.to_owned())], count as f64));
-        gauges(encoder, "joulebus_robots", "Robots at each level", None, levels)?;
+        families.gauges("joulebus_robots", "Robots at each level", None, levels);
         let mut raised = [0_u32; Alarm::ALL.len()];
         for diagnostic in self.snapshot.entries().iter().filter_map(|entry| entry.newest.diagnostic)
         {
@@ -189,39 +246,36 @@ impl Metrics {
         let implausible = implausible.filter(|raised| raised.is(&card)).count() as u32;
         let of_sources = (vec![("alarm", card.name.to_owned())], implausible.into());
         let alarms = alarms.chain([of_sources]);
-        gauges(encoder, "joulebus_alarms", "Alarms that are raised", None, alarms)?;
+        families.gauges("joulebus_alarms", "Alarms that are raised", None, alarms);
         let power_w = totals.power_w.map(|power_w| (NO_LABELS, power_w));
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_fleet_power",
             "Sum of the robots' newest readings",
-            Some(&watts()),
+            Some(WATTS),
             power_w,
-        )?;
-        let mut metric = encoder.encode_descriptor(
+        );
+        let consumed_j = Number(self.snapshot.accumulated.consumed_uj as f64 * 1e-6);
+        families.counter(
             "joulebus_fleet_consumed",
             "Energy consumed by all robots. It does not fall when robots leave",
-            Some(&Unit::Joules),
-            MetricType::Counter,
-        )?;
-        let consumed_j = self.snapshot.accumulated.consumed_uj as f64 * 1e-6;
-        metric.encode_counter::<NoLabelSet, f64, f64>(&consumed_j, None)
+            Some(JOULES),
+            consumed_j,
+        );
     }
 
-    fn robots(&self, encoder: &mut DescriptorEncoder) -> fmt::Result {
+    fn robots(&self, families: &mut Families) {
         let all = self.snapshot.entries();
         let robots = &all[..all.len().min(self.max_robots)];
         let beyond = (all.len() - robots.len()) as f64;
-        gauge(
-            encoder,
+        families.gauge(
             "joulebus_robots_without_series",
             "Robots beyond --metrics-robots, without metrics of their own",
             beyond,
-        )?;
+        );
         if robots.is_empty() {
-            return Ok(());
+            return;
         }
-        consumed(encoder, robots)?;
+        consumed(families, robots);
         let power = robots.iter().flat_map(|entry| {
             let kinds = power_w(&entry.newest.forecast);
             kinds.into_iter().filter_map(|(kind, value)| {
@@ -230,62 +284,56 @@ impl Metrics {
                 Some((labels, value?))
             })
         });
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_power",
             "Newest reading, forecast of the next reading, and the ends of its interval",
-            Some(&watts()),
+            Some(WATTS),
             power,
-        )?;
+        );
         let now_ns = self.now_ns;
-        let ratio = Unit::Other("ratio".to_owned());
         let series = |value: &dyn Fn(&Entry) -> Option<f64>| -> Vec<(Labels, f64)> {
             let known = |entry| Some((of(entry), value(entry)?));
             robots.iter().filter_map(known).collect()
         };
         let residual = series(&|entry| residual_w(entry.newest.diagnostic.as_ref()?));
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_residual",
             "Reading minus the network's forecast",
-            Some(&watts()),
+            Some(WATTS),
             residual,
-        )?;
+        );
         let soc = series(&|entry| {
             battery(entry.newest.budget.as_ref()?, budget_flag::CHARGE, |budget| budget.soc)
         });
-        gauges(encoder, "joulebus_soc", "State of charge, 0 to 1", Some(&ratio), soc)?;
+        families.gauges("joulebus_soc", "State of charge, 0 to 1", Some(RATIO), soc);
         let left = series(&|entry| {
             battery(entry.newest.budget.as_ref()?, budget_flag::TIME_TO_EMPTY, |budget| {
                 budget.time_to_empty_s
             })
         });
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_time_to_empty",
             "Expected time until the battery is empty",
-            Some(&Unit::Seconds),
+            Some(SECONDS),
             left,
-        )?;
+        );
         let to_full = series(&|entry| {
             let budget = entry.newest.budget.as_ref()?;
             budget.charging_s(budget.soc.into(), 1.0)
         });
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_time_to_full",
             "Time on the charger until the battery is full, by earlier charges",
-            Some(&Unit::Seconds),
+            Some(SECONDS),
             to_full,
-        )?;
+        );
         let capacity = series(&|entry| Some(entry.newest.budget?.learned_capacity_j()?.0.into()));
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_capacity",
             "Learned capacity of the battery",
-            Some(&Unit::Joules),
+            Some(JOULES),
             capacity,
-        )?;
+        );
         let last = robots.last().map_or(0, |entry| entry.robot);
         let outlooks = self.outlooks.iter().filter(|outlook| outlook.robot <= last);
         let ahead = outlooks.flat_map(|outlook| {
@@ -303,41 +351,35 @@ impl Metrics {
                 })
             })
         });
-        gauges(
-            encoder,
-            "joulebus_energy_ahead",
+        families.gauges("joulebus_energy_ahead",
             "Energy over the next seconds if the robot goes on as now, and the ends of its interval",
-            Some(&Unit::Joules),
+            Some(JOULES),
             ahead,
-        )?;
+        );
         let age = series(&|entry| Some(entry.sample_age_ns(now_ns)? as f64 * 1e-9));
-        gauges(
-            encoder,
+        families.gauges(
             "joulebus_sample_age",
             "Time since the newest sample's stamp",
-            Some(&Unit::Seconds),
+            Some(SECONDS),
             age,
-        )?;
+        );
         let health = series(&|entry| Some(entry.newest.level().code().into()));
-        gauges(encoder, "joulebus_health_level", "0 ok, 1 warn, 2 error, 3 stale", None, health)
+        families.gauges("joulebus_health_level", "0 ok, 1 warn, 2 error, 3 stale", None, health);
     }
 }
 
-fn consumed(encoder: &mut DescriptorEncoder, robots: &[Entry]) -> fmt::Result {
-    let mut metric = encoder.encode_descriptor(
+fn consumed(families: &mut Families, robots: &[Entry]) {
+    let name = families.begin(
         "joulebus_consumed",
         "Greatest energy drawn that the robot's ledger counted. It does not fall when energy is fed back",
-        Some(&Unit::Joules),
-        MetricType::Counter,
-    )?;
+        Some(JOULES),
+        Kind::Counter,
+    );
     for entry in robots {
         if let Some(consumed_uj) = entry.consumed_uj {
-            let (labels, consumed_j) = (of(entry), consumed_uj as f64 * 1e-6);
-            let mut series = metric.encode_family(&labels)?;
-            series.encode_counter::<NoLabelSet, f64, f64>(&consumed_j, None)?;
+            families.sample(&name, &of(entry), Number(consumed_uj as f64 * 1e-6));
         }
     }
-    Ok(())
 }
 
 fn power_w(forecast: &Forecast) -> [(&'static str, Option<f64>); 4] {
@@ -365,60 +407,10 @@ fn of(entry: &Entry) -> Labels {
     vec![("robot", entry.robot.to_string())]
 }
 
-fn watts() -> Unit {
-    Unit::Other("watts".to_owned())
-}
-
-fn gauge(encoder: &mut DescriptorEncoder, name: &str, help: &str, value: f64) -> fmt::Result {
-    let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Gauge)?;
-    metric.encode_gauge(&value)
-}
-
-fn gauges<S: EncodeLabelSet>(
-    encoder: &mut DescriptorEncoder,
-    name: &str,
-    help: &str,
-    unit: Option<&Unit>,
-    series: impl IntoIterator<Item = (S, f64)>,
-) -> fmt::Result {
-    let mut metric = encoder.encode_descriptor(name, help, unit, MetricType::Gauge)?;
-    for (labels, value) in series {
-        metric.encode_family(&labels)?.encode_gauge(&value)?;
-    }
-    Ok(())
-}
-
-fn by_reason(
-    encoder: &mut DescriptorEncoder,
-    name: &str,
-    help: &str,
-    counts: impl Iterator<Item = (&'static str, u64)>,
-) -> fmt::Result {
-    let mut metric = encoder.encode_descriptor(name, help, None, MetricType::Counter)?;
-    for (reason, count) in counts {
-        let labels = vec![("reason", reason)];
-        let mut series = metric.encode_family(&labels)?;
-        series.encode_counter::<NoLabelSet, u64, f64>(&count, None)?;
-    }
-    Ok(())
-}
-
-fn histogram(
-    encoder: &mut DescriptorEncoder,
-    name: &str,
-    help: &str,
-    counted: &Counted,
-) -> fmt::Result {
-    let mut metric =
-        encoder.encode_descriptor(name, help, Some(&Unit::Seconds), MetricType::Histogram)?;
-    let uppers = UPPER_S.into_iter().chain([f64::INFINITY]);
-    let buckets: Vec<(f64, u64)> = uppers.zip(counted.counts).collect();
-    let count = counted.counts.iter().sum();
-    metric.encode_histogram::<NoLabelSet>(counted.sum_ns as f64 * 1e-9, count, &buckets, None)
-}
-
 #[cfg(test)]
 mod tests {
+    use std::sync::Arc;
+
     use joulebus_board::{Board, Link, Platforms};
     use joulebus_testkit::assert_page_contains;
     use joulebus_wire::{CHARGE_TENTHS, DropReason, ForecastHeader, QueryCounts, QueryRefusal};
@@ -461,7 +453,7 @@ mod tests {
         for (now_ns, up) in [(SECOND_NS, 1), (3 * SECOND_NS, 1), (3 * SECOND_NS + 1, 0)] {
             let why = snapshot.why_not_up(now_ns);
             assert_eq!(why.is_none(), up == 1, "{why:?}");
-            let text = text(&snapshot, Vec::new(), now_ns, ("lab", 0)).unwrap();
+            let text = text(&snapshot, &[], now_ns, ("lab", 0));
             let line = format!("joulebus_worker_up{{fleet=\"lab\"}} {up}");
             assert!(text.contains(&line), "{now_ns}: {text}");
         }
@@ -494,7 +486,7 @@ mod tests {
         }]);
         let outlook =
             Outlook { robot: 1, flags: u32::MAX, bounded: u16::MAX, ..Outlook::default() };
-        let text = text(&snapshot(&board), vec![outlook], SECOND_NS, ("lab", 1)).unwrap();
+        let text = text(&snapshot(&board), &[outlook], SECOND_NS, ("lab", 1));
         let mut tables = [String::new(), String::new()];
         for family in text.split("# HELP ").skip(1) {
             let (name, rest) = family.split_once(' ').unwrap();

@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
+use hmac_sha256::Hash as Sha256;
 use joulebus_plausibility::{Finding as Judged, Kind, Quantity, Severity};
 use rayon::iter::{IntoParallelRefIterator as _, ParallelIterator as _};
 use serde::Serialize;
-use sha2::{Digest as _, Sha256};
 
 use super::constant::only_value;
 use super::finding::{Finding, FindingKind, Occurrence};
@@ -183,7 +183,7 @@ fn digest(trial: &Trial) -> [u8; 32] {
             digest.update(value.to_le_bytes());
         }
     }
-    digest.finalize().into()
+    digest.finalize()
 }
 
 /// Findings by kind, with their first places.

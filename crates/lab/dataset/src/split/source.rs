@@ -1,6 +1,6 @@
 //! Trials with the names of their units.
 
-use sha2::{Digest as _, Sha256};
+use hmac_sha256::Hash as Sha256;
 
 use crate::rows::TrialRows;
 
@@ -60,7 +60,7 @@ pub fn digest(rows: &TrialRows) -> [u8; 32] {
         digest.update(&bytes);
         bytes.clear();
     }
-    digest.finalize().into()
+    digest.finalize()
 }
 
 /// Number and groups of recordings, as a model's file states them.

@@ -1,6 +1,6 @@
 //! Plain networks, as `joulebus.models.convert` of the Python package writes them.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 
 use joulebus_dataset::trial::Trial;
 use joulebus_predictor::Activation;
@@ -72,7 +72,7 @@ impl Contents {
         let views = encoded.iter().map(|(name, shape, bytes)| {
             (*name, TensorView::new(self.dtype, shape.to_vec(), bytes).unwrap())
         });
-        let metadata: HashMap<String, String> = self.metadata.clone().into_iter().collect();
+        let metadata = self.metadata.clone().into_iter().collect();
         safetensors::serialize(views, Some(metadata)).unwrap()
     }
 }
