@@ -1,6 +1,5 @@
-//! The same frames over joulebus, raw iceoryx2, Unix sockets and zenoh with shared memory, in one
-//! run: each from a source to a sink, through a relay process that answers a frame of samples with
-//! a frame of forecasts.
+//! The same frames over joulebus, raw iceoryx2 and Unix sockets, in one run: each from a source to a
+//! sink, through a relay process that answers a frame of samples with a frame of forecasts.
 //!
 //! ```text
 //! cargo run --release --manifest-path tools/peers/transport/Cargo.toml -- \
@@ -12,7 +11,6 @@ mod frame;
 mod sink;
 mod unix;
 mod way;
-mod zenoh_shm;
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -28,7 +26,6 @@ use crate::frame::{forecast_bytes, sample_bytes};
 use crate::sink::Sink;
 use crate::unix::Unix;
 use crate::way::{Joulebus, Way};
-use crate::zenoh_shm::Zenoh;
 
 /// Frames in flight when frames are sent as fast as possible.
 const WINDOW: usize = 2;
@@ -66,12 +63,6 @@ enum Role {
     /// The sink, Unix sockets.
     #[command(hide = true)]
     UnixSink(End),
-    /// The relay, zenoh.
-    #[command(hide = true)]
-    ZenohRelay { directory: PathBuf, robots: usize },
-    /// The sink, zenoh.
-    #[command(hide = true)]
-    ZenohSink(End),
 }
 
 /// Arguments of a sink.
@@ -97,8 +88,6 @@ fn main() -> anyhow::Result<()> {
         Some(Role::Joulebus(role)) => latency::play(role),
         Some(Role::UnixRelay { directory, robots }) => unix::relay(directory, *robots),
         Some(Role::UnixSink(end)) => unix::sink(&end.directory, end.sink(), end.robots),
-        Some(Role::ZenohRelay { directory, robots }) => zenoh_shm::relay(directory, *robots),
-        Some(Role::ZenohSink(end)) => zenoh_shm::sink(&end.directory, end.sink()),
     }
 }
 
@@ -148,7 +137,7 @@ fn report(arguments: &Arguments, name: &str) -> Report {
     });
     Report::new(name)
         .with_input("frames", sizes.collect::<Vec<_>>().join(", "))
-        .with_input("versions", "iceoryx2 0.10.0, zenoh 1.10.2")
+        .with_input("versions", "iceoryx2 0.10.0")
 }
 
 /// All transports on one grid, a share of the period apart.
@@ -205,16 +194,13 @@ fn flood(
 type Open = fn(&Launcher, usize, u64, bool) -> anyhow::Result<Box<dyn Way>>;
 
 /// The transports that can also be driven as fast as possible.
-fn others() -> [(&'static str, Open); 3] {
+fn others() -> [(&'static str, Open); 2] {
     [
         ("iceoryx2_us", |launcher, robots, period_ns, acknowledge| {
             Ok(Box::new(raw::RawHops::open(launcher, robots, period_ns, acknowledge)?))
         }),
         ("unix_stream_us", |launcher, robots, period_ns, acknowledge| {
             Ok(Box::new(Unix::open(launcher, robots, period_ns, acknowledge)?))
-        }),
-        ("zenoh_shm_us", |launcher, robots, period_ns, acknowledge| {
-            Ok(Box::new(Zenoh::open(launcher, robots, period_ns, acknowledge)?))
         }),
     ]
 }
