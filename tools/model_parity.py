@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Holds joulebus's forecasts against NumPy, PyTorch and ONNX Runtime on the same weights.
+"""Holds joulebus's forecasts against NumPy and ONNX Runtime on the same weights.
 
-There: each model is exported as .npz and .onnx. NumPy (double precision) and PyTorch (single)
-compute it from the plain arrays, ONNX Runtime runs the graph. All forecast the rows that the export
-carries beside joulebus's own forecasts.
+There: each model is exported as .npz and .onnx. NumPy computes it from the plain arrays in double
+precision, ONNX Runtime runs the graph. Both forecast the rows that the export carries beside
+joulebus's own forecasts.
 
 Back: the tests of `joulebus.models.convert` run with the real PyTorch, ONNX and safetensors.
 
@@ -36,7 +36,6 @@ if pathlib.Path(sys.prefix).resolve() != HOME.resolve():
 import numpy as np  # noqa: E402
 import onnx  # noqa: E402
 import onnxruntime  # noqa: E402
-import torch  # noqa: E402
 
 LIMIT_W = 1e-5
 TARGET = pathlib.Path(os.environ.get("CARGO_TARGET_DIR", ROOT / "target"))
@@ -73,16 +72,6 @@ def by_numpy(arrays, rows):
     return values[:, 0] * arrays["power_std_w"] + arrays["power_mean_w"]
 
 
-def by_torch(arrays, rows):
-    std = torch.tensor(arrays["feature_std"])
-    inverse = torch.where(std > 0, 1.0 / std, torch.zeros_like(std))
-    values = (torch.tensor(rows) - torch.tensor(arrays["feature_mean"])) * inverse
-    for number in range(4):
-        values = torch.nn.functional.linear(values, *(torch.tensor(arrays[f"layers.{number}.{part}"]) for part in ("weight", "bias")))
-        values = torch.nn.functional.gelu(values) if number < 3 else values
-    return values[:, 0].numpy() * arrays["power_std_w"] + arrays["power_mean_w"]
-
-
 def by_onnx(path, rows):
     onnx.checker.check_model(onnx.load(path), full_check=True)
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
@@ -104,7 +93,6 @@ def there(model, folder):
     rows, own = arrays["check_features"], arrays["check_power_w"]
     return {
         "NumPy": abs(by_numpy(arrays, rows) - own).max(),
-        "PyTorch": abs(by_torch(arrays, rows) - own).max(),
         "ONNX Runtime": abs(by_onnx(graph, rows) - own).max(),
     }
 
@@ -127,7 +115,7 @@ def back(folder):
 def main():
     models = [pathlib.Path(model).resolve() for model in sys.argv[1:]]
     models = models or sorted((ROOT / "configs/models").glob("*.safetensors"))
-    print(f"numpy {np.__version__}, torch {torch.__version__}, "
+    print(f"numpy {np.__version__}, "
           f"onnxruntime {onnxruntime.__version__}; differences in W, allowed {LIMIT_W:.0e}")
     worst = 0.0
     with tempfile.TemporaryDirectory() as folder:
