@@ -12,10 +12,10 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-quick=() long=20 only='' results='' picture=docs/measured/peers.svg peers=${JOULEBUS_PEERS:-target/peers}
+quick=() long=20 only='' results='' peers=${JOULEBUS_PEERS:-target/peers}
 while [ $# -gt 0 ]; do
     case $1 in
-    --quick) quick=(--quick) long=2 results=target/figures/quick picture=target/figures/quick/peers.svg ;;
+    --quick) quick=(--quick) long=2 results=target/figures/quick ;;
     --only) only=,$2, && shift ;;
     *) sed -n '2,/^set/s/^# \?//p' "$0" && exit 2 ;;
     esac
@@ -58,6 +58,6 @@ measure plan "$bench" plan "${quick[@]}"
 measure questions "$bench" questions --seconds $long "${quick[@]}"
 measure latency "$bench" latency --seconds $long "${quick[@]}"
 measure transport "$peers/target/release/joulebus-transport-peers" --seconds $long
-measure peers python3 tools/peers/network.py --directory "$peers" --picture "$picture" "${quick[@]}"
+measure peers python3 tools/peers/network.py --directory "$peers" "${quick[@]}"
 { printf '# Measurements of commit %s, %s\n\n' "$commit" "$(date -I)"; python3 tools/figures.py "$results"; } >"$results/report.md"
 printf '\n== %s (after %d s)\n' "$results/report.md" "$SECONDS"

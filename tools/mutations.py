@@ -207,10 +207,7 @@ def main():
             continue
         path = source(file)
         text = path.read_text()
-        if old not in text:
-            print(f"{name}: {file} does not contain the text that is to be replaced", file=sys.stderr)
-            missed += 1
-            continue
+        assert old in text, f"{name}: {file} does not contain the text that is to be replaced"
         begin = time.time()
         try:
             path.write_text(text.replace(old, new))

@@ -9,8 +9,7 @@
 #
 # Needs Chromium, node, tmux, Python 3 and the recordings in ../shared/data (Robotino:
 # BrOleg5/research-wheel-slippage at b4303b4c, Apache-2.0; 648 trials of a Festo Robotino v2 on four
-# surfaces). docs/pictures/dataflow.svg is drawn by hand; docs/measured/peers.svg is written by
-# tools/figures.sh.
+# surfaces). docs/pictures/dataflow.svg is drawn by hand.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 screenshots=${1:-target/pictures}
@@ -49,7 +48,7 @@ screenshot() { # page, width, height, file
         --screenshot="$4" --window-size="$2,$3" "file://$1" > "$work/chromium.log" 2>&1
 }
 screenshot "$work/report/report.html" 1100 1250 "$PWD/docs/pictures/report-page.png"
-for picture in docs/pictures/*.svg docs/measured/*.svg; do
+for picture in docs/pictures/*.svg; do
     size=$(python3 -c 'import re,sys; t=open(sys.argv[1]).read(); print(*re.search(r"<svg[^>]*? width=\"(\d+)[^>]*? height=\"(\d+)", t).groups())' "$picture")
     screenshot "$PWD/$picture" ${size} "$PWD/$screenshots/$(basename "$picture" .svg).png"
 done

@@ -3,7 +3,7 @@
 
 Installs the peers into a virtual environment of its own (pinned versions), builds the Rust peers,
 checks that all give the same forecasts, then lets them take turns, each in a process of its own on
-the same processor, and writes figures (JSON), a table (Markdown) and a picture (SVG).
+the same processor, and writes figures (JSON) and a table (Markdown).
 
     python3 tools/peers/network.py                 # everything; some minutes after the installation
     python3 tools/peers/network.py --quick         # a smoke test
@@ -33,7 +33,7 @@ BATCHES = [1, 7, 20, 100, 1_000, 10_000, 100_000]
 SHARED_FROM = 10_000
 ROWS = 100_000
 ROUNDS = 3
-NAMES = ["joulebus", "onnxruntime", "openvino", "pytorch", "jax", "numpy", "nalgebra"]
+NAMES = ["joulebus", "onnxruntime", "openvino", "pytorch", "numpy", "nalgebra"]
 RUST = {"joulebus", "nalgebra"}
 THREADED = {"joulebus", "onnxruntime", "openvino", "pytorch"}
 # Largest allowed error against double precision, W: of single precision, and of the other form of
@@ -41,11 +41,10 @@ THREADED = {"joulebus", "onnxruntime", "openvino", "pytorch"}
 ALLOWED_W = {"numpy": 1e-2}
 ALLOWED_SINGLE_W = 2e-5
 
-PACKAGES = ["numpy==2.4.6", "scipy==1.17.1", "safetensors==0.8.0", "matplotlib==3.11.2"]
+PACKAGES = ["numpy==2.4.6", "scipy==1.17.1", "safetensors==0.8.0"]
 PACKAGES_OF = {
     "onnxruntime": ["onnx==1.23.2", "onnxruntime==1.31.1"],
     "openvino": ["onnx==1.23.2", "openvino==2026.4.1"],
-    "jax": ["jax==0.10.2", "jaxlib==0.10.2"],
 }
 
 
@@ -226,28 +225,6 @@ def torch_peer(arguments):
     return prepare
 
 
-def jax_peer(arguments):
-    os.environ["JAX_PLATFORMS"] = "cpu"
-    os.environ["XLA_FLAGS"] = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
-    import jax
-
-    layers = [[jax.numpy.asarray(part) for part in layer] for layer in layers_of(arguments.model)]
-
-    @jax.jit
-    def network(values):
-        for place, (weights, bias) in enumerate(layers):
-            values = values @ weights.T + bias
-            if place < 3:
-                values = jax.nn.gelu(values, approximate=False)
-        return values
-
-    def prepare(rows):
-        rows = jax.device_put(rows)
-        return lambda: network(rows).block_until_ready(), lambda: network(rows)
-
-    return prepare
-
-
 def numpy_peer(arguments):
     """NumPy has no error function: GELU in its form with tanh, each step into memory that is there."""
     import numpy
@@ -285,7 +262,6 @@ PREPARE = {
     "onnxruntime": onnxruntime_peer,
     "openvino": openvino_peer,
     "pytorch": torch_peer,
-    "jax": jax_peer,
     "numpy": numpy_peer,
 }
 
@@ -458,32 +434,11 @@ def to_suite(times, errors, inputs):
     made.sort(key=lambda made: made["name"])
     notes = [
         "Peers get the least work: normalisation folded, rows in their own memory, one call a batch, "
-        "IO binding (ONNX Runtime), static shapes (OpenVINO, JAX).",
+        "IO binding (ONNX Runtime), static shapes (OpenVINO).",
         "OpenVINO is told to compute in f32: by itself it takes bf16 here, with an error of 3e-2.",
         "NumPy has no error function: GELU in its tanh form, another model by 1e-3 W.",
     ]
     return figures.suite(ROOT, [figures.report("peers", inputs, made, notes)])
-
-
-def picture(path, times):
-    import matplotlib
-
-    matplotlib.use("svg")
-    from matplotlib import pyplot
-
-    matplotlib.rcParams.update({"svg.fonttype": "none", "svg.hashsalt": "joulebus", "font.size": 10})
-    drawing, axes = pyplot.subplots(figsize=(8, 5))
-    middle = lambda all: sorted(all)[len(all) // 2]
-    for peer in NAMES:
-        points = [(batch, middle(all)) for (name, threads, batch), all in times.items() if (name, threads) == (peer, 1)]
-        if points:
-            wide = peer == "joulebus"
-            axes.plot(*zip(*points), marker="o", label=peer, linewidth=3 if wide else 1.2,
-                      color="black" if wide else None, markersize=5 if wide else 3)
-    axes.set(xscale="log", yscale="log", xlabel="robots in a batch", ylabel="ns a robot, one thread")
-    axes.grid(True, which="major", alpha=0.3)
-    axes.legend(ncols=2, frameon=False)
-    drawing.savefig(path, bbox_inches="tight", metadata={"Date": None})
 
 
 def drive(arguments):
@@ -513,9 +468,7 @@ def drive(arguments):
     suite = to_suite(times, errors, inputs)
     print(figures.page(suite))
     figures.write(arguments.json, suite)
-    arguments.picture.parent.mkdir(parents=True, exist_ok=True)
-    picture(arguments.picture, times)
-    say(f"written: {arguments.json}, {arguments.picture}")
+    say(f"written: {arguments.json}")
 
 
 def parse():
@@ -530,7 +483,6 @@ def parse():
     parser.add_argument("--model", type=pathlib.Path, default=ROOT / "configs/models/gternal-sim.safetensors")
     parser.add_argument("--directory", type=pathlib.Path, default=ROOT / "target/peers", help="of the environment and what is built")
     parser.add_argument("--json", type=pathlib.Path, default=ROOT / "bench-results/peers.json")
-    parser.add_argument("--picture", type=pathlib.Path, default=ROOT / "bench-results/peers.svg")
     parser.add_argument("--as", dest="be", help=argparse.SUPPRESS)
     parser.add_argument("--onnx", help=argparse.SUPPRESS)
     parser.add_argument("--rows", help=argparse.SUPPRESS)
