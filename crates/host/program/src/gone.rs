@@ -116,6 +116,11 @@ const GONE: &[(&str, &str, &str)] = &[
         "--first-seed --dragging",
         "seeds begin at 1, and a brush drags in a tenth of robots",
     ),
+    (
+        "report",
+        "--published",
+        "the paper's recordings were never published. --simulated shows its numbers",
+    ),
     ("report", "--train", "--fit names the recordings that baselines are fitted on"),
     ("model export", "--python", "--out FILE.py writes a Python module"),
     (

@@ -16,7 +16,7 @@ pub(super) struct Material<'a> {
     pub(super) unit: Unit,
     /// The note in every figure.
     pub(super) note: Option<&'a str>,
-    /// True if the robots are GTernals, so that the paper's numbers are shown.
+    /// True if the robots are simulated GTernals, so that the paper's numbers are shown.
     pub(super) beside_paper: bool,
 }
 

@@ -31,8 +31,6 @@ pub struct Recorded<'a> {
     pub design: &'a Design,
     /// Forecasters to compare with, beside persistence and the linear baselines.
     pub references: Vec<Reference>,
-    /// True if these are the paper's published recordings, so that its numbers are shown.
-    pub published: bool,
     /// Energy of a battery from full to empty, Wh. `None`: the platform's.
     pub battery_wh: Option<f64>,
 }
@@ -42,7 +40,7 @@ pub struct Recorded<'a> {
 /// # Errors
 /// [`ReportError`]: nothing to evaluate, or settings that are refused.
 pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
-    let Recorded { settings, platform, models, recordings, ref references, published, .. } = *what;
+    let Recorded { settings, platform, models, recordings, ref references, .. } = *what;
     // Every section needs them.
     let loaded: Result<Vec<Recording>, TrialError> =
         recordings.iter().map(Recording::loaded).collect();
@@ -82,9 +80,9 @@ pub fn recorded(what: &Recorded<'_>) -> Result<Document, ReportError> {
         scored: &scored,
         unit: Unit::new(scored.report.all.reading_mean_w),
         note: note.as_deref(),
-        beside_paper: published,
+        beside_paper: false,
     };
-    let trial = shown_trial(recordings, published);
+    let trial = longest(recordings);
     let mut sections = vec![
         usage.section(),
         inputs(&material),
@@ -122,15 +120,10 @@ fn simulation(models: &[Model]) -> Option<String> {
     })
 }
 
-/// The paper's trial 6 if present, else the longest.
-fn shown_trial(recordings: &[Recording], published: bool) -> String {
-    let sixth = recordings.iter().find(|recording| recording.name.contains("trial6"));
-    let longest = || {
-        let longest = |recording: &&Recording| recording.rows();
-        recordings.iter().rev().max_by_key(longest)
-    };
-    let shown = sixth.filter(|_| published).or_else(longest);
-    shown.map(|recording| recording.name.clone()).unwrap_or_default()
+/// Name of the longest recording.
+fn longest(recordings: &[Recording]) -> String {
+    let longest = recordings.iter().rev().max_by_key(|recording| recording.rows());
+    longest.map(|recording| recording.name.clone()).unwrap_or_default()
 }
 
 /// One sentence that compares the first model with the baselines.

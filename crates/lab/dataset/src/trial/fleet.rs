@@ -24,8 +24,6 @@ pub enum TrialFleetError {
     NoTrial,
     #[error("robot {robot} has more than one trial. Give each trial an id of its own")]
     DuplicateRobot { robot: u32 },
-    #[error("{trials} robots from id {first} on run past {max}. Start lower", max = u32::MAX)]
-    IdsExhausted { first: u32, trials: usize },
     #[error("found a frame period of 0 ns, allowed: 1 ns or more")]
     NoPeriod,
 }
@@ -41,9 +39,9 @@ pub enum TrialFleetError {
 /// # fn send(_: &[joulebus_wire::Sample]) {}
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// use joulebus_dataset::trial::{Playback, Trial, TrialFleet};
-/// let trials = vec![Trial::read("a.npy")?, Trial::read("b.csv.gz")?];
+/// let trials = vec![(100, Trial::read("a.npy")?), (101, Trial::read("b.csv.gz")?)];
 /// let playback = Playback { base_ns: 0, frame_period_ns: 33_333_333, repeat: false };
-/// let mut fleet = TrialFleet::numbered(100, trials, playback)?;
+/// let mut fleet = TrialFleet::new(trials, playback)?;
 /// let mut frame = Vec::new();
 /// while let Some(due_ns) = fleet.next_due_ns() {
 ///     fleet.frame_into(due_ns, &mut frame);
@@ -80,23 +78,6 @@ impl TrialFleet {
             return Err(TrialFleetError::DuplicateRobot { robot });
         }
         Ok(Self { players, playback })
-    }
-
-    /// Trials whose robots are numbered from `first`, in the given order.
-    ///
-    /// # Errors
-    /// [`TrialFleetError`]: no trial, ids beyond `u32::MAX`, or a frame period of 0.
-    pub fn numbered(
-        first: u32,
-        trials: Vec<Trial>,
-        playback: Playback,
-    ) -> Result<Self, TrialFleetError> {
-        let count = trials.len();
-        let ids = (first..=u32::MAX).take(count).collect::<Vec<_>>();
-        if ids.len() < count {
-            return Err(TrialFleetError::IdsExhausted { first, trials: count });
-        }
-        Self::new(ids.into_iter().zip(trials).collect(), playback)
     }
 
     /// Ids of the robots, ascending.

@@ -16,8 +16,7 @@ use crate::references::ReferenceArguments;
     joulebus report --simulated -o report/\n  \
     joulebus report recordings/ --model my.safetensors -o report/\n  \
     joulebus report test/ --fit training/ --model new.safetensors --model old.safetensors -o report/\n  \
-    joulebus report recordings/ --split trial --model my.safetensors -o report/\n  \
-    joulebus report energy_data_trial*.npy --published --model gternal.safetensors -o report/\n\n\
+    joulebus report recordings/ --split trial --model my.safetensors -o report/\n\n\
     DIR/report.html is a self-contained file. DIR also gets report.json and report.txt. `python3 -m \
     joulebus.figures DIR/report.json` draws its figures as SVG and PDF.\n\
     First comes what recordings say by themselves: energy per metre, power by speed, how long a \
@@ -52,9 +51,6 @@ pub(crate) struct Args {
     /// Platform of the config with the period, limits and battery [default: as recorded]
     #[arg(long, value_name = "NAME", conflicts_with = "simulated")]
     pub(super) platform: Option<String>,
-    /// The recordings are those of arXiv 2603.13908: show its numbers for comparison
-    #[arg(long, conflicts_with = "simulated")]
-    pub(super) published: bool,
     /// Simulate the paper's trials and robots, train on them and report, without data
     #[arg(long, conflicts_with_all = ["paths", "model", "split", "leave_out", "fit"])]
     pub(super) simulated: bool,

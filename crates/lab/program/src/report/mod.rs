@@ -98,7 +98,6 @@ fn evaluate(args: &Args) -> anyhow::Result<(Document, Vec<Judged>)> {
         recordings: &recordings,
         design: &design,
         references: args.references.read()?,
-        published: args.published,
         battery_wh: args.battery_wh,
     })?;
     if let Some(warning) = &document.warning {

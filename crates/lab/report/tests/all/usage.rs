@@ -47,7 +47,6 @@ fn report(runs: &[Vec<Row>], platform: Option<&Platform>, battery_wh: Option<f64
         recordings: &recordings,
         design: &design,
         references: Vec::new(),
-        published: false,
         battery_wh,
     };
     recorded(&what).unwrap()

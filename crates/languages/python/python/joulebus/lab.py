@@ -438,7 +438,6 @@ def report(
     held_out: float = 0.15,
     leave_out: Sequence[str] = (),
     seed: int | None = None,
-    published: bool = False,
     battery_wh: float | None = None,
     simulated: bool = False,
     draws: int = 10,
@@ -453,7 +452,6 @@ def report(
 
     recordings, model, fit, split, held_out, leave_out, columns, current, accept: as of `evaluate`. The first model is in every figure.
                 Without one, the report is on what the recordings say by themselves
-    published: the recordings are the paper's: its numbers are shown
     battery_wh: energy of the battery from full to empty, to report how long it lasts
     simulated: runs the paper's experiments on simulated robots instead, without recordings: `draws` times, with `samples`
                of each trial and at most `max_epochs` of training. `seed` is that of the first draw (1)
@@ -470,7 +468,7 @@ def report(
 
             return Report(native.report_simulated(first, draws, samples, max_epochs, told))
     choice = _choice(split, held_out, leave_out, seed or 0)
-    asked = json.dumps({"choice": choice, "published": published, "battery_wh": battery_wh})
+    asked = json.dumps({"choice": choice, "battery_wh": battery_wh})
     found = native.report_recorded(
         _inputs(recordings), _inputs(fit), _reading(columns, current, accept), _models(model), asked, _warn
     )

@@ -66,7 +66,6 @@ impl Report {
 #[serde(deny_unknown_fields)]
 struct ReportRequest {
     choice: Choice,
-    published: bool,
     battery_wh: Option<f64>,
 }
 
@@ -107,7 +106,6 @@ pub(crate) fn report_recorded(
             recordings: &recordings,
             design: &design,
             references: Reference::OWN.to_vec(),
-            published: asked.published,
             battery_wh: asked.battery_wh,
         });
         Ok(Report { document: document.map_err(refused)?, network: None })

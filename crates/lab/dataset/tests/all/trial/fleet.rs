@@ -80,8 +80,8 @@ fn a_repeated_trial_starts_with_a_discontinuity_and_its_times_and_numbers_contin
 
 #[test]
 fn a_late_caller_gets_everything_that_is_due_in_one_frame() {
-    let trials = vec![trial(10.0, 5), trial(30.0, 7)];
-    let mut fleet = TrialFleet::numbered(20, trials, playback(33 * MS, false)).unwrap();
+    let trials = vec![(20, trial(10.0, 5)), (21, trial(30.0, 7))];
+    let mut fleet = TrialFleet::new(trials, playback(33 * MS, false)).unwrap();
     let mut frame = vec![Sample::new(0, 0, 0); 3];
     fleet.frame_into(0, &mut frame);
     assert!(frame.is_empty(), "nothing is due with the first row");
@@ -100,10 +100,6 @@ fn an_invalid_fleet_is_refused_with_its_numbers() {
         (
             TrialFleet::new(vec![(4, trial(1.0, 2)), (4, trial(1.0, 2))], settings),
             TrialFleetError::DuplicateRobot { robot: 4 },
-        ),
-        (
-            TrialFleet::numbered(u32::MAX, vec![trial(1.0, 2), trial(1.0, 2)], settings),
-            TrialFleetError::IdsExhausted { first: u32::MAX, trials: 2 },
         ),
         (TrialFleet::new(vec![(4, trial(1.0, 2))], playback(0, false)), TrialFleetError::NoPeriod),
     ];
@@ -130,7 +126,7 @@ proptest! {
             Trial::read(Files::new().write("any.npy", &npy_f8(&timed(&rows)))).unwrap()
         }).collect::<Vec<_>>();
         let settings = playback(frame_period_ns, false);
-        let mut fleet = TrialFleet::numbered(0, trials.clone(), settings).unwrap();
+        let mut fleet = TrialFleet::new((0..).zip(trials.clone()).collect(), settings).unwrap();
         let frames = play(&mut fleet);
         for pair in frames.windows(2) {
             prop_assert!(pair[0].0 < pair[1].0);
