@@ -452,7 +452,7 @@ fn outputs_of_older_rules_are_excused_by_name() {
 fn rules_that_keyframes_or_the_rules_of_answers_deny_excuse_nothing() {
     let messages = recorded(8, 60);
     for (tick_rules, answer_rules, denied) in
-        [(10, 6, 0), (9, 6, 2), (7, 4, 2), (6, 3, 2), (10, 3, 1), (6, 4, 3)]
+        [(11, 6, 0), (10, 6, 2), (7, 4, 2), (6, 3, 2), (11, 3, 1), (6, 4, 3)]
     {
         let verifier = Verifier::new(world::settings(CAPACITY), world::models()).unwrap();
         let verifier = verifier.with_tick_rules(tick_rules).with_answer_rules(Some(answer_rules));

@@ -3,9 +3,12 @@
 // Indexed by lane, so that the compiler vectorises the loop.
 #![allow(clippy::needless_range_loop)]
 
+use std::slice;
+
 use joulebus_energy::{
     EnergyModel, EnergySample, EnergyState, ErrorBounds, LEVELS, Learned, Metered, SHADOWS,
 };
+use joulebus_predictor::simd::prefetch;
 use serde::{Deserialize, Deserializer, Serialize};
 
 use crate::estimate::calibration::SharedErrors;
@@ -179,6 +182,14 @@ impl EnergyLanes {
     #[inline(always)]
     pub(crate) fn state(&self, lane: usize, errors: &SharedErrors) -> EnergyState {
         EnergyState { bounds: errors.platform().plans, ..self.get(lane) }
+    }
+
+    /// Prefetches what each sample changes of the block some blocks later.
+    #[inline(always)]
+    pub(crate) fn prefetch_ahead(all: &[Self], block: usize) {
+        if let Some(ahead) = all.get(block + lanes::AHEAD) {
+            prefetch(slice::from_ref(&ahead.metered));
+        }
     }
 
     /// Energy and time of the longest level of the robot in a lane, J and s.

@@ -288,7 +288,7 @@ impl BatteryState {
         let readings_w = (self.reading_w, self.mean_w);
         let gap = GapPower::open(counting, readings_w, unmetered_ns, charging.unmetered);
         let off = GapPower::off(counting, self.idle_w);
-        self.after(counting, at, &gap.or(self.off, &off), charging)
+        self.after(counting, at, if self.off { &off } else { &gap }, charging)
     }
 
     /// Unmetered time since the charge was known, s, and by how much it lowers the lower bound at

@@ -39,18 +39,6 @@ impl GapPower {
         if idle_w.is_nan() { unknown } else { known }
     }
 
-    /// The other one, if `is_other`. Number by number: a choice of references would keep the loop
-    /// over robots from becoming vectors.
-    #[inline(always)]
-    pub(crate) const fn or(&self, is_other: bool, other: &Self) -> Self {
-        Self {
-            mean_w: if is_other { other.mean_w } else { self.mean_w },
-            sd_w: if is_other { other.sd_w } else { self.sd_w },
-            most_w: if is_other { other.most_w } else { self.most_w },
-            charges: if is_other { other.charges } else { self.charges },
-        }
-    }
-
     /// Of a gap that has not ended: as a long one. While it may turn out to be short, the last reading
     /// if that is less, so that the energy left seldom has to rise when it ends. `charging`: the
     /// charge goes on as the last reading metered it.

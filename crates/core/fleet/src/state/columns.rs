@@ -39,10 +39,10 @@ const _: () = assert!(
         <= 1_000
 );
 
-/// A robot takes at most 800 bytes, its account after departure included: the columns, that
+/// A robot takes at most 710 bytes, its account after departure included: the columns, that
 /// account, its bit in the slot map, and one and a half entries in each of the two id tables.
 const _: () =
-    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 800);
+    assert!(COLUMNS + size_of::<Ledger>() + Departed::BYTES + 1 + 3 * size_of::<u32>() <= 710);
 
 /// Declares the columns once: name, type of a block of robots, and what a check of a saved state
 /// calls it. `apart` are not read where the output of a block is computed. `optional` are empty

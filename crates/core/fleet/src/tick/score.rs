@@ -132,6 +132,7 @@ impl SimdTask for Score<'_, '_> {
             lanes::prefetch_ahead(scores, block);
             lanes::prefetch_ahead(detectors, block);
             lanes::prefetch_ahead(levels, block);
+            lanes::prefetch_ahead(batteries, block);
             let admissions = &admissions[from..from + LANES];
             let absorbed = Absorbed::take(
                 lanes,

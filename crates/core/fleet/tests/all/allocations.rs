@@ -99,23 +99,23 @@ fn taken(settings: joulebus_settings::FleetSettings) -> u64 {
 /// Additional memory if a platform has a battery, including a departed robot's account, per robot
 /// of the capacity.
 #[test]
-fn batteries_take_at_most_550_bytes_a_robot_more() {
+fn batteries_take_at_most_500_bytes_a_robot_more() {
     let more = taken(settings(10_000)) - taken(without_batteries(10_000));
     let each = more as f64 / 10_000.0;
     println!("{each:.1} bytes a robot more");
-    assert!(each > 0.0 && each <= 550.0, "{each:.1} bytes a robot more");
+    assert!(each > 0.0 && each <= 500.0, "{each:.1} bytes a robot more");
 }
 
 /// Memory of a robot in the fleet and of a departed one's account, of which there may be as many.
 #[test]
-fn a_robot_takes_at_most_800_bytes_with_the_account_of_a_departed_one() {
+fn a_robot_takes_at_most_710_bytes_with_the_account_of_a_departed_one() {
     let bytes = |capacity: u32| taken(without_batteries(capacity));
     // Memory independent of the fleet's size: the batch of one tile, the platforms.
     let fixed = 2 * bytes(16_384) - bytes(32_768);
     for capacity in [5_000u32, 10_000, 14_337, 16_384, 57_345, 100_000] {
         let each = (bytes(capacity) - fixed) as f64 / f64::from(capacity);
         println!("{each:.1} bytes per robot at a capacity of {capacity}");
-        assert!(each <= 800.0, "{each:.1} bytes per robot at a capacity of {capacity}");
+        assert!(each <= 710.0, "{each:.1} bytes per robot at a capacity of {capacity}");
     }
     println!("{fixed} bytes for the fleet");
     assert!(fixed < 200_000, "{fixed} bytes for the fleet");

@@ -7,6 +7,7 @@ mod step;
 
 use joulebus_predictor::simd::SimdTask;
 
+use crate::estimate::energy::EnergyLanes;
 use crate::ingest::pending::PendingState;
 use crate::layout::lanes::{self, Block as _, LANES, Lanes};
 use crate::layout::slots;
@@ -61,7 +62,8 @@ impl SimdTask for BuildRows<'_, '_> {
             lanes::prefetch_ahead(self.columns.windows, block);
             lanes::prefetch_ahead(self.columns.lasts, block);
             lanes::prefetch_ahead(self.columns.intervals, block);
-            lanes::prefetch_ahead(self.columns.energy, block);
+            lanes::prefetch_ahead(self.columns.online, block);
+            EnergyLanes::prefetch_ahead(self.columns.energy, block);
             let Some(waiting) = self.collect_waiting(context, block, lanes) else {
                 continue;
             };
