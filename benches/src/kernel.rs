@@ -9,7 +9,7 @@ use joulebus_predictor::{Features, INPUTS, Kernel, Model, Network};
 
 use crate::peak::Isa;
 use crate::report::{quantile, robots};
-use crate::rounds::{Measurement, calls, interleave};
+use crate::rounds::{Run, calls, interleave};
 use crate::{Report, input};
 
 /// Rounds of the benchmarks that interleave measurements.
@@ -175,25 +175,25 @@ fn alone(report: &mut Report, cases: &mut [Case], sum: usize, options: &BenchOpt
     }
     let about: Vec<(String, String, Option<Isa>)> =
         cases.iter().map(|case| (case.name(), robots(case.batch()), isa(case.kernel))).collect();
-    let mut measurements: Vec<Measurement<'_>> = isas
-        .iter()
-        .map(|isa| Measurement::new(|| isa.peak_gmac_per_s().unwrap_or(f64::NAN)))
-        .chain(cases.iter_mut().map(|case| Measurement::new(|| case.run())))
-        .collect();
-    interleave(&mut measurements, options.rounds(ROUNDS), options.each());
-    let (peaks, measurements) = measurements.split_at(isas.len());
-    for (isa, measurement) in isas.iter().zip(peaks) {
+    let peak = |isa: &Isa| -> Run<'_> {
+        let isa = *isa;
+        Box::new(move || isa.peak_gmac_per_s().unwrap_or(f64::NAN))
+    };
+    let mut runs: Vec<Run<'_>> = isas.iter().map(peak).collect();
+    runs.extend(cases.iter_mut().map(|case| Box::new(|| case.run()) as Run<'_>));
+    let measured = interleave(runs, options.rounds(ROUNDS), options.each());
+    let (peaks, measured) = measured.split_at(isas.len());
+    for (isa, peaks) in isas.iter().zip(peaks) {
         let title = format!("{isa:?}_peak_gmac_per_s").to_lowercase();
-        report.more(&title, "1 thread", "GMAC/s", measurement.values());
+        report.more(&title, "1 thread", "GMAC/s", peaks);
     }
-    for ((kernel, case, _), measurement) in about.iter().zip(measurements) {
-        report.less(&format!("{kernel}_ns_per_robot"), case, "ns", measurement.values());
+    for ((kernel, case, _), all_ns) in about.iter().zip(measured) {
+        report.less(&format!("{kernel}_ns_per_robot"), case, "ns", all_ns);
     }
-    for ((kernel, case, isa), measurement) in about.iter().zip(measurements) {
+    for ((kernel, case, isa), all_ns) in about.iter().zip(measured) {
         let Some(place) = isas.iter().position(|other| Some(*other) == *isa) else { continue };
-        let peak = quantile(peaks[place].values(), 0.5);
-        let of_peak = measurement.values().iter().map(|ns| sum / ns / peak);
-        let of_peak: Vec<f64> = of_peak.collect();
+        let peak = quantile(&peaks[place], 0.5);
+        let of_peak: Vec<f64> = all_ns.iter().map(|ns| sum / ns / peak).collect();
         report.more(&format!("{kernel}_share_of_peak"), case, "1", &of_peak);
     }
 }

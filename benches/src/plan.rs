@@ -13,7 +13,7 @@ use joulebus_wire::{
 
 use crate::report::quantile;
 use crate::rollout::{Work, title};
-use crate::rounds::{Measurement, calls, interleave};
+use crate::rounds::{Run, calls, interleave};
 use crate::{Report, input, kernel, tick};
 
 /// Candidates of one robot, and steps of each.
@@ -41,13 +41,11 @@ pub(crate) fn measure(options: &BenchOptions) -> anyhow::Result<Report> {
         let mut answers = robot.what_if(&candidates, COVERAGE)?;
         let case = title((1, count, steps));
         let ask = || timed(|| what_if(&robot, &candidates, &mut answers));
-        let mut measured = [Measurement::new(ask), Measurement::new(|| rollout.run())];
-        interleave(&mut measured, options.rounds(kernel::ROUNDS), options.each());
-        let [asked, rolled] = &measured;
-        let us: Vec<f64> = asked.values().iter().map(|ns| ns * 1e-3).collect();
-        report.less("what_if_us", &case, "µs", &us);
-        let rollout_ns = quantile(rolled.values(), 0.5);
-        let over: Vec<f64> = asked.values().iter().map(|ns| ns / rollout_ns).collect();
+        let runs: Vec<Run<'_>> = vec![Box::new(ask), Box::new(|| rollout.run())];
+        let measured = interleave(runs, options.rounds(kernel::ROUNDS), options.each());
+        let scaled = |scale: f64| -> Vec<f64> { measured[0].iter().map(|ns| ns * scale).collect() };
+        report.less("what_if_us", &case, "µs", &scaled(1e-3));
+        let over = scaled(1.0 / quantile(&measured[1], 0.5));
         report.less("what_if_over_rollout", &case, "1", &over);
     }
     gradient(&mut report, &robot, options)?;
@@ -79,9 +77,8 @@ fn gradient(report: &mut Report, robot: &Robot<'_>, options: &BenchOptions) -> a
         let ns = timed(|| (0..repeated).for_each(|_| ask()));
         ns / repeated as f64
     };
-    let mut measured = [Measurement::new(run)];
-    interleave(&mut measured, options.rounds(kernel::ROUNDS), options.each());
-    let us: Vec<f64> = measured[0].values().iter().map(|ns| ns * 1e-3).collect();
+    let measured = interleave(vec![Box::new(run)], options.rounds(kernel::ROUNDS), options.each());
+    let us: Vec<f64> = measured[0].iter().map(|ns| ns * 1e-3).collect();
     let case = format!("1 robot x {GRADIENT_STEPS} steps");
     report.less("energy_power_gradient_us", &case, "µs", &us);
     Ok(())

@@ -9,7 +9,7 @@ use joulebus_predictor::{
 };
 
 use crate::report::{grouped, quantile, robots};
-use crate::rounds::{Measurement, interleave};
+use crate::rounds::{Run, interleave};
 use crate::{Report, input, kernel};
 
 /// Robots, candidates per robot, steps per candidate.
@@ -117,19 +117,16 @@ fn interleaved(report: &mut Report, network: &Network, works: &mut [Work], optio
         (title(case), work.forecasts() as f64)
     });
     let about: Vec<(String, f64)> = about.collect();
-    let mut measured = vec![Measurement::new(bare)];
-    measured.extend(works.iter_mut().map(|work| Measurement::new(|| work.run())));
-    interleave(&mut measured, options.rounds(kernel::ROUNDS), options.each());
-    let kernel_ns = measured[0].values();
-    let scaled = |measurement: &Measurement<'_>, scale: f64| -> Vec<f64> {
-        measurement.values().iter().map(|ns| ns * scale).collect()
-    };
-    for ((case, forecasts), rollout) in about.iter().zip(&measured[1..]) {
-        report.less("rollout_us", case, "µs", &scaled(rollout, 1e-3));
-        report.less("ns_per_step", case, "ns", &scaled(rollout, 1.0 / forecasts));
-        let over = scaled(rollout, 1.0 / forecasts / quantile(kernel_ns, 0.5));
-        report.less("step_over_kernel", case, "1", &over);
+    let mut runs: Vec<Run<'_>> = vec![Box::new(bare)];
+    runs.extend(works.iter_mut().map(|work| Box::new(|| work.run()) as Run<'_>));
+    let measured = interleave(runs, options.rounds(kernel::ROUNDS), options.each());
+    let kernel_ns = quantile(&measured[0], 0.5);
+    for ((case, forecasts), all_ns) in about.iter().zip(&measured[1..]) {
+        let scaled = |scale: f64| -> Vec<f64> { all_ns.iter().map(|ns| ns * scale).collect() };
+        report.less("rollout_us", case, "µs", &scaled(1e-3));
+        report.less("ns_per_step", case, "ns", &scaled(1.0 / forecasts));
+        report.less("step_over_kernel", case, "1", &scaled(1.0 / forecasts / kernel_ns));
     }
     let case = format!("{} rows", grouped(KERNEL_ROWS));
-    report.less("kernel_ns_per_robot", &case, "ns", kernel_ns);
+    report.less("kernel_ns_per_robot", &case, "ns", &measured[0]);
 }

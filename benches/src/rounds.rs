@@ -5,43 +5,29 @@ use std::time::{Duration, Instant};
 /// Minimum number of repetitions.
 const LEAST: usize = 5;
 
-/// One of several interleaved measurements.
-pub(crate) struct Measurement<'a> {
-    run: Box<dyn FnMut() -> f64 + 'a>,
-    /// Takes part in every n-th round.
-    every: usize,
-    values: Vec<f64>,
-}
+/// Executes one repetition of a measurement and returns its figure.
+pub(crate) type Run<'a> = Box<dyn FnMut() -> f64 + 'a>;
 
-impl<'a> Measurement<'a> {
-    /// `run` executes one repetition and returns its figure.
-    pub(crate) fn new(run: impl FnMut() -> f64 + 'a) -> Self {
-        Self { run: Box::new(run), every: 1, values: Vec::new() }
-    }
-
-    /// The figures, repetition by repetition.
-    pub(crate) fn values(&self) -> &[f64] {
-        &self.values
-    }
-}
-
-/// Runs all of them, interleaved, for `rounds` rounds. One that would take longer than `each` in
-/// total takes part in fewer rounds, spread evenly. The first repetition of each is a warm-up and
-/// not counted.
-pub(crate) fn interleave(measurements: &mut [Measurement<'_>], rounds: usize, each: Duration) {
-    for measurement in measurements.iter_mut() {
-        (measurement.run)();
+/// The figures of all measurements, repetition by repetition. They run interleaved, for `rounds`
+/// rounds. One that would take longer than `each` in total takes part in fewer rounds, spread
+/// evenly. The first repetition of each is a warm-up and not counted.
+pub(crate) fn interleave(mut runs: Vec<Run<'_>>, rounds: usize, each: Duration) -> Vec<Vec<f64>> {
+    let every = runs.iter_mut().map(|run| {
+        run();
         let start = Instant::now();
-        (measurement.run)();
-        let one = start.elapsed().as_secs_f64();
-        measurement.every = every(rounds, one, each.as_secs_f64());
-    }
+        run();
+        every(rounds, start.elapsed().as_secs_f64(), each.as_secs_f64())
+    });
+    let every: Vec<usize> = every.collect();
+    let mut values = vec![Vec::new(); runs.len()];
     for round in 0..rounds {
-        let due = measurements.iter_mut().filter(|measurement| round % measurement.every == 0);
-        for measurement in due {
-            measurement.values.push((measurement.run)());
+        for (place, run) in runs.iter_mut().enumerate() {
+            if round % every[place] == 0 {
+                values[place].push(run());
+            }
         }
     }
+    values
 }
 
 /// The n for which a measurement of `one_s` per repetition takes part in every n-th round.
@@ -85,16 +71,15 @@ mod tests {
     #[test]
     fn measurements_are_interleaved_and_warmed_up() {
         let order = RefCell::new(String::new());
-        let mut measurements = ['a', 'b'].map(|name| {
+        let run = |name| -> Run<'_> {
             let order = &order;
-            Measurement::new(move || {
+            Box::new(move || {
                 order.borrow_mut().push(name);
                 order.borrow().len() as f64
             })
-        });
-        interleave(&mut measurements, 2, Duration::from_secs(60));
-        assert_eq!(measurements[0].values(), [5.0, 7.0]);
-        drop(measurements);
+        };
+        let values = interleave(vec![run('a'), run('b')], 2, Duration::from_secs(60));
+        assert_eq!(values[0], [5.0, 7.0]);
         assert_eq!(order.into_inner(), "aabbabab");
     }
 }
