@@ -296,19 +296,19 @@ mod tests {
 
     #[test]
     fn the_longest_target_that_fits_decides_the_level() {
-        let levels: Levels = "warn, zenoh=off,zenoh::net=debug,joulebus_link".parse().unwrap();
+        let levels: Levels = "warn, rustdds=off,rustdds::net=debug,joulebus_link".parse().unwrap();
         for (target, level) in [
             ("joulebus::program", LevelFilter::WARN),
-            ("zenoh", LevelFilter::OFF),
-            ("zenoh_link", LevelFilter::OFF),
-            ("zenoh::net::runtime", LevelFilter::DEBUG),
+            ("rustdds", LevelFilter::OFF),
+            ("rustdds_link", LevelFilter::OFF),
+            ("rustdds::net::runtime", LevelFilter::DEBUG),
             ("joulebus_link::peers", LevelFilter::TRACE),
         ] {
             assert_eq!(levels.of(target), level, "{target}");
         }
         let only: Levels = "joulebus::alarms=INFO".parse().unwrap();
-        assert_eq!((only.of(ALARMS), only.of("zenoh")), (LevelFilter::INFO, LevelFilter::OFF));
-        let refused = "zenoh=loud".parse::<Levels>().unwrap_err();
+        assert_eq!((only.of(ALARMS), only.of("rustdds")), (LevelFilter::INFO, LevelFilter::OFF));
+        let refused = "rustdds=loud".parse::<Levels>().unwrap_err();
         assert!(refused.contains("\"loud\"") && refused.contains("trace"), "{refused}");
     }
 
