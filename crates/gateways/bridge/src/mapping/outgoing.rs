@@ -225,8 +225,9 @@ mod tests {
 
     #[test]
     fn a_single_value_is_a_number_and_nan_if_it_is_unknown() {
-        let values = values((7, "r7"), &newest(), None, |at_ns| at_ns);
-        assert_eq!((number("power_w", &values), number("charging", &values)), (4.75, 0.0));
+        let mut values = values((7, "r7"), &newest(), None, |at_ns| at_ns);
+        values.insert("charging".to_owned(), json!(true));
+        assert_eq!((number("power_w", &values), number("charging", &values)), (4.75, 1.0));
         assert!(number("lo_w", &values).is_nan() && number("energy_1s_j", &values).is_nan());
         for (name, expected) in [("watt", "power_w"), ("name", "is no number")] {
             assert!(check_number(name).unwrap_err().contains(expected), "{name}");
