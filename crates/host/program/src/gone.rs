@@ -158,11 +158,7 @@ const GONE: &[(&str, &str, &str)] = &[
         "shards",
         "a fleet has one worker, and a large one is split into several: docs/how-to/several-fleets.md",
     ),
-    (
-        "KIND",
-        "webhooks",
-        "`joulebus alarms --on-alarm` needs no file: docs/how-to/webhook.md",
-    ),
+    ("KIND", "webhooks", "`joulebus alarms --on-alarm` needs no file: docs/how-to/webhook.md"),
     (
         "BENCHMARK",
         "wait",

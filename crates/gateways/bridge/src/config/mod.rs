@@ -103,9 +103,9 @@ impl Settings {
     /// True if MQTT messages report that a robot charges. ROS 2 messages with a battery's power
     /// always report it, or that it is unknown.
     fn reports_charging(&self) -> bool {
-        self.mqtt.as_ref().is_some_and(|mqtt| {
-            mqtt.routes.iter().any(|route| route.fields.charging.is_some())
-        })
+        self.mqtt
+            .as_ref()
+            .is_some_and(|mqtt| mqtt.routes.iter().any(|route| route.fields.charging.is_some()))
     }
 }
 

@@ -66,7 +66,13 @@ const VALUES: &str = "robot name quality quality_detail stamp_unix_ns target_uni
     energy_60s_j energy_60s_lo_j energy_60s_hi_j energy_300s_j energy_300s_lo_j energy_300s_hi_j";
 /// Those that are no number with a unit.
 const WITHOUT_UNIT: [&str; 8] = [
-    "robot", "name", "quality", "quality_detail", "stamp_unix_ns", "target_unix_ns", "level",
+    "robot",
+    "name",
+    "quality",
+    "quality_detail",
+    "stamp_unix_ns",
+    "target_unix_ns",
+    "level",
     "alarms",
 ];
 

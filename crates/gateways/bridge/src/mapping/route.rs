@@ -261,10 +261,7 @@ mod tests {
             ("all", json!({"robot": "r3", "power": 3}), 3),
         ] {
             let payload = payload.to_string();
-            assert_eq!(
-                read(&reader(), topic, payload.as_bytes()),
-                (vec![(robot, 3.0)], vec![])
-            );
+            assert_eq!(read(&reader(), topic, payload.as_bytes()), (vec![(robot, 3.0)], vec![]));
         }
         assert_eq!(reader().filters(), ["all", "fleet/+/power"]);
     }

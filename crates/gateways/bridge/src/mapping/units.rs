@@ -87,11 +87,9 @@ mod tests {
         ] {
             assert_eq!(quantity.unit(name).unwrap().size, size, "{name}");
         }
-        for (quantity, name) in [
-            (Quantity::Power, "mA"),
-            (Quantity::Power, "MW"),
-            (Quantity::Share, "m"),
-        ] {
+        for (quantity, name) in
+            [(Quantity::Power, "mA"), (Quantity::Power, "MW"), (Quantity::Share, "m")]
+        {
             let refused = quantity.unit(name).unwrap_err().to_string();
             assert!(refused.contains("allowed are"), "{refused}");
         }

@@ -154,9 +154,7 @@ impl Offset {
         let Some(trips) = self.trips(now_ns) else {
             return;
         };
-        let holds = |used_ns: i128| {
-            used_ns <= trips.lo_ns && used_ns >= trips.lo_ns - MAX_BELOW_NS
-        };
+        let holds = |used_ns: i128| used_ns <= trips.lo_ns && used_ns >= trips.lo_ns - MAX_BELOW_NS;
         if !self.used_ns.is_some_and(holds) {
             self.refits += u64::from(self.used_ns.is_some());
             self.used_ns = Some(trips.lo_ns - MARGIN_NS);

@@ -429,8 +429,7 @@ mod tests {
         let others: Vec<_> = others.filter_map(|number| stream(1 + number % 3)).collect();
         let open = connections.lock();
         let of = |user| {
-            let own =
-                |open: &&Arc<Connection>| open.client == Peer::User(user) && open.is_stream();
+            let own = |open: &&Arc<Connection>| open.client == Peer::User(user) && open.is_stream();
             open.usual.values().filter(own).count()
         };
         assert_eq!([0, 1, 2, 3].map(of), [STREAMS.all / 4; 4]);
