@@ -55,8 +55,8 @@ impl Activation {
         }
     }
 
-    /// One value in double precision, for checks.
-    pub(crate) fn value_f64(self, x: f64) -> f64 {
+    /// The exact value in double precision, for checks.
+    pub fn value_f64(self, x: f64) -> f64 {
         match self {
             Activation::GeluErf => 0.5 * x * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2),
             Activation::GeluTanh => {

@@ -7,7 +7,7 @@ use crate::features::{FeatureSet, Features, INPUTS};
 use crate::file;
 use crate::kernel::{Engine, Kernel, LINE, Packed, SimdLevel, Tiling, fold, pairwise};
 use crate::nan::canonical;
-use crate::parameters::{Layer, Normalisation, Parameters};
+use crate::parameters::Parameters;
 use crate::rollout::Rollouts;
 
 /// A network that passed every check.
@@ -166,35 +166,4 @@ impl Network {
         });
         canonical(pairwise(sums) + last.bias[0])
     }
-
-    /// One forecast in watt in double precision with the exact error function, for checks.
-    /// Allocates.
-    pub fn predict_reference_f64(&self, row: &Features) -> f64 {
-        let Normalisation { feature_mean, feature_std, power_mean_w, power_std_w } =
-            self.parameters.normalisation;
-        let normalised = self.feature_set().range().map(|i| {
-            let std = f64::from(feature_std[i]);
-            let inverse = if std > 0.0 { 1.0 / std } else { 0.0 };
-            (f64::from(row[i]) - f64::from(feature_mean[i])) * inverse
-        });
-        let [first, second, third, last] = &self.parameters.layers;
-        let activation = self.parameters.activation;
-        let mut values: Vec<f64> = normalised.collect();
-        for layer in [first, second, third] {
-            let sums = affine(layer, &values);
-            values = sums.map(|sum| activation.value_f64(sum)).collect();
-        }
-        let forecast: f64 = affine(last, &values).sum();
-        forecast * f64::from(power_std_w) + f64::from(power_mean_w)
-    }
-}
-
-/// For each output the weights times values, summed in the order of the inputs, plus bias.
-fn affine(layer: &Layer, values: &[f64]) -> impl Iterator<Item = f64> {
-    let rows = layer.weights.chunks_exact(values.len());
-    rows.zip(&layer.bias).map(move |(weights, bias)| {
-        let products = weights.iter().zip(values);
-        let products = products.map(|(weight, value)| f64::from(*weight) * value);
-        products.sum::<f64>() + f64::from(*bias)
-    })
 }

@@ -294,6 +294,7 @@ mod tests {
 
     use super::*;
     use joulebus_predictor::Features;
+    use joulebus_testkit_fleets::exact;
 
     fn shipped(name: &str) -> Network {
         let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../../configs/models");
@@ -369,7 +370,7 @@ mod tests {
                 });
                 let read = &row[network.feature_set().range()];
                 let by_graph = run(&graph, read.iter().map(|x| f64::from(*x)).collect());
-                let slow = network.predict_reference_f64(&row);
+                let slow = exact::forecast_w(&network, &row);
                 assert!((by_graph - slow).abs() < 1e-6, "{name}: {by_graph} {slow}");
             }
         }

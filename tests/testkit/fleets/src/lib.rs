@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod channels;
+pub mod exact;
 #[allow(missing_docs)] // The names say it.
 pub mod forged;
 #[allow(missing_docs)]

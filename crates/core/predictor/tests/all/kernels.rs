@@ -5,8 +5,8 @@ use joulebus_predictor::{
     ResidualStats, Tiling, features,
 };
 #[allow(dead_code)] // Each test file uses a part.
-use joulebus_testkit_fleets::random;
 use joulebus_testkit_fleets::random::{Noise, network, row};
+use joulebus_testkit_fleets::{exact, random};
 use proptest::prelude::*;
 use std::path::Path;
 
@@ -134,10 +134,10 @@ proptest! {
 fn worst_error(network: &Network, rows: &[Features], scale_w: impl Fn(f64) -> f64) -> f64 {
     let mut out_w = vec![0.0; rows.len()];
     network.predict(rows, &mut out_w);
-    let errors = rows.iter().zip(out_w).map(|(row, forecast_w)| {
-        let exact_w = network.predict_reference_f64(row);
-        (f64::from(forecast_w) - exact_w).abs() / scale_w(exact_w)
-    });
+    let errors = exact::forecasts_w(network, rows)
+        .into_iter()
+        .zip(out_w)
+        .map(|(exact_w, forecast_w)| (f64::from(forecast_w) - exact_w).abs() / scale_w(exact_w));
     errors.fold(0.0, f64::max)
 }
 

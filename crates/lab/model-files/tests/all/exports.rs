@@ -2,9 +2,7 @@
 
 use joulebus_model_files::{CHECK_ROWS, to_arrays, to_npz, to_onnx};
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, Network};
-use joulebus_testkit_fleets::random;
-
-use crate::plain::activated;
+use joulebus_testkit_fleets::{exact, random};
 
 fn shipped() -> Network {
     let path =
@@ -49,7 +47,7 @@ fn every_export_is_the_same_bytes_again_and_has_rows_with_their_forecasts() {
         for (row, forecast_w) in rows.chunks(inputs).zip(numbers(&arrays, "check_power_w")) {
             let value = |feature: usize| row.get(feature).map_or(f32::NAN, |value| *value as f32);
             let row: Features = std::array::from_fn(value);
-            let slow = network.predict_reference_f64(&row);
+            let slow = exact::forecast_w(&network, &row);
             assert!((slow - forecast_w).abs() < 1e-5, "{slow} {forecast_w}");
         }
     }
@@ -64,21 +62,15 @@ fn exported_arrays_divide_by_no_zero_and_ignore_what_the_network_ignores() {
     assert_eq!((std[1], std[3]), (1.0, 1.0));
     // A row in which the constant features changed after all.
     let row: Features = std::array::from_fn(|feature| 0.1 * feature as f32 + 0.3);
-    let mut values: Vec<f64> = (0..FEATURES)
+    let inputs = (0..FEATURES)
         .map(|feature| (f64::from(row[feature]) - mean[feature]) / std[feature])
         .collect();
-    for layer in 0..4 {
-        let weights = array(&format!("layers.{layer}.weight"));
-        let bias = array(&format!("layers.{layer}.bias"));
-        let sums = weights
-            .chunks(values.len())
-            .zip(bias)
-            .map(|(row, bias)| bias + row.iter().zip(&values).map(|(w, x)| w * x).sum::<f64>());
-        values = sums
-            .map(|sum| if layer < 3 { activated(Activation::GeluErf, sum) } else { sum })
-            .collect();
-    }
-    let power_w = values[0] * array("power_std_w")[0] + array("power_mean_w")[0];
-    let own = network.predict_reference_f64(&row);
+    let single = |name: String| array(&name).into_iter().map(|value| value as f32).collect();
+    let layers = [0, 1, 2, 3].map(|layer| {
+        (single(format!("layers.{layer}.weight")), single(format!("layers.{layer}.bias")))
+    });
+    let output = exact::Layers::new(&layers, Activation::GeluErf).output(inputs);
+    let power_w = output * array("power_std_w")[0] + array("power_mean_w")[0];
+    let own = exact::forecast_w(&network, &row);
     assert!((power_w - own).abs() < 1e-9, "{power_w} {own}");
 }

@@ -7,10 +7,11 @@ use joulebus_dataset::trial::Trial;
 use joulebus_model_files::{ImportError, Plain};
 use joulebus_predictor::{Activation, FEATURES, FeatureSet, Features, LAGS, Network};
 use joulebus_testkit::assert_contains;
+use joulebus_testkit_fleets::exact;
 use joulebus_testkit_fleets::random::Noise;
 use safetensors::tensor::Dtype;
 
-use crate::plain::{Contents, Layers, evaluated, layers, trial};
+use crate::plain::{Contents, Layers, layers, trial};
 
 /// Statistics of the eleven features of a robot of some 49 W, per second.
 const MEAN: [f64; 11] = [0.3, 0.1, 0.01, 0.0, 0.35, 0.4, 49.0, 49.0, 49.0, 49.0, 49.0];
@@ -38,7 +39,7 @@ fn unpadded(layers: &Layers, activation: Activation, row: &Features) -> f64 {
         let (mean, std) = (MEAN[feature] as f32, STD[feature] as f32);
         (f64::from(row[feature]) - f64::from(mean)) / f64::from(std)
     });
-    evaluated(layers, activation, values.collect()) * POWER.1 + POWER.0
+    exact::Layers::new(layers, activation).output(values.collect()) * POWER.1 + POWER.0
 }
 
 fn row(noise: &mut Noise) -> Features {
@@ -108,7 +109,7 @@ fn a_smaller_network_of_any_depth_and_activation_gives_the_unpadded_result() {
                 let expected = unpadded(&layers, activation, &row);
                 let mut forecast_w = [0.0];
                 network.predict(&[row], &mut forecast_w);
-                let reference = (network.predict_reference_f64(&row) - expected).abs() / POWER.1;
+                let reference = (exact::forecast_w(&network, &row) - expected).abs() / POWER.1;
                 let kernel = (f64::from(forecast_w[0]) - expected).abs() / POWER.1;
                 // A float of 49 W has a unit of 4e-6 in the last place.
                 let what = format!("{widths:?} {activation:?}: {reference:e} {kernel:e}");

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use joulebus_dataset::trial::Trial;
-use joulebus_predictor::Activation;
 use joulebus_testkit_fleets::random::Noise;
 use safetensors::tensor::{Dtype, TensorView};
 
@@ -75,31 +74,6 @@ impl Contents {
         let metadata = self.metadata.clone().into_iter().collect();
         safetensors::serialize(views, Some(metadata)).unwrap()
     }
-}
-
-pub(crate) fn activated(activation: Activation, x: f64) -> f64 {
-    match activation {
-        Activation::GeluErf => 0.5 * x * libm::erfc(-x * std::f64::consts::FRAC_1_SQRT_2),
-        Activation::GeluTanh => {
-            let scale = (2.0 / std::f64::consts::PI).sqrt();
-            0.5 * x * (1.0 + libm::tanh(scale * (x + 0.044715 * x * x * x)))
-        }
-        Activation::Relu => x.max(0.0),
-    }
-}
-
-/// The output of a network by plain loops, from normalised inputs in the file's order.
-pub(crate) fn evaluated(layers: &Layers, activation: Activation, mut values: Vec<f64>) -> f64 {
-    for (number, (weights, bias)) in layers.iter().enumerate() {
-        let rows = weights.chunks(values.len()).zip(bias);
-        let sums = rows.map(|(row, bias)| {
-            let products = row.iter().zip(&values).map(|(w, x)| f64::from(*w) * x);
-            f64::from(*bias) + products.sum::<f64>()
-        });
-        let is_last = number + 1 == layers.len();
-        values = sums.map(|sum| if is_last { sum } else { activated(activation, sum) }).collect();
-    }
-    values[0]
 }
 
 /// A trial from the text of a CSV file.

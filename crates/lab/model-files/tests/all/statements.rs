@@ -9,8 +9,9 @@ use joulebus_model_files::{
 };
 use joulebus_predictor::{Activation, FEATURES};
 use joulebus_testkit::assert_contains;
+use joulebus_testkit_fleets::exact;
 
-use crate::plain::{Contents, Layers, evaluated, layers, trial};
+use crate::plain::{Contents, Layers, layers, trial};
 
 const STEP_S: f64 = 1.0 / 30.0;
 /// Statistics of the published model.
@@ -114,6 +115,7 @@ fn recorded(layers: &Layers, convention: &Convention, rows: usize, moving: bool)
         (seed >> 40) as f64 / f64::from(1 << 24) * 2.0 - 1.0
     };
     let mut csv = "robot_id,timestamp_s,v_cmd_mps,omega_cmd_radps,power_mW\n".to_owned();
+    let network = exact::Layers::new(layers, convention.activation);
     let mut before = [0.0, 0.0];
     let mut lag_w = vec![3.6; 5];
     let mut command = [0.05, 0.1];
@@ -122,7 +124,7 @@ fn recorded(layers: &Layers, convention: &Convention, rows: usize, moving: bool)
             command = [0.2 * uniform(), 2.0 * uniform()];
         }
         let values = inputs(convention, command, before, &lag_w);
-        let output = evaluated(layers, convention.activation, values);
+        let output = network.output(values);
         let power_w = output * POWER_W.1 + POWER_W.0 + 0.001 * uniform();
         let ([v, omega], time_s) = (command, row as f64 * STEP_S);
         writeln!(csv, "1,{time_s:.9},{v},{omega},{}", power_w * 1e3).unwrap();
