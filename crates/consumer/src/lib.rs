@@ -15,12 +15,15 @@ pub use alarms::{AlarmChange, AlarmFeed, AlarmHistory, Change};
 pub use feed::Feed;
 pub use fleet_alarms::{FleetAlarm, FleetAlarms};
 pub use frame::{Frame, KeptForecasts};
+#[doc(inline)]
 pub use joulebus_bus::{Readiness, clock};
+#[doc(inline)]
 pub use joulebus_config::Config;
+#[doc(inline)]
 pub use joulebus_connect::{ConnectError, error};
-pub use joulebus_wire::{
-    self as wire, Budgets, Diagnostics, Forecasts, Outlooks, PlanStates, Queries,
-};
+pub use joulebus_wire as wire;
+#[doc(inline)]
+pub use joulebus_wire::{Budgets, Diagnostics, Forecasts, Outlooks, PlanStates, Queries};
 pub use newest::ReadError;
 pub use source_alarms::{SourceAlarms, SourceChange};
 pub use subscriber::{Event, Subscriber};

@@ -297,7 +297,7 @@ impl Subscriber {
     ///   arrives while an earlier one is read. For a [polling](Subscriber::polling) subscriber it
     ///   shows the worker's exit only.
     ///
-    /// `examples/event_loop.rs` does so with tokio.
+    /// The example `event_loop` of this crate does so with tokio.
     ///
     /// # Errors
     /// The operating system's, when it has no descriptor left.

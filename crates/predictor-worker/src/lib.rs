@@ -18,11 +18,17 @@ mod state_directory;
 mod tick_pool;
 mod worker;
 
-pub use checkpoint::LearnedCapacity;
 pub use error::OpenError;
-pub use joulebus_fleet::{RefusalLog, RefusedSamples};
-pub use ledger_files::{LedgerFileError, learned_capacities};
+pub use ledger_files::LedgerFileError;
 pub use report::{Parts, Report};
 pub use standby::PermitOver;
 pub use tick_pool::{TickPool, TickPoolError};
 pub use worker::{RunError, Worker};
+
+// For the programs of joulebus: other users have no use for them.
+#[doc(hidden)]
+pub use checkpoint::LearnedCapacity;
+#[doc(hidden)]
+pub use joulebus_fleet::{RefusalLog, RefusedSamples};
+#[doc(hidden)]
+pub use ledger_files::learned_capacities;

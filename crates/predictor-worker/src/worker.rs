@@ -410,12 +410,14 @@ impl Worker {
 
     /// Counts its turns there from now on, at least ten a second: a watchdog in another thread sees
     /// whether the worker works.
+    #[doc(hidden)]
     pub fn count_turns_in(&mut self, turns: Arc<AtomicU64>) {
         self.turns = turns;
     }
 
     /// From now on the run ends if this thread does. Of its own threads the worker sees that
     /// anyway.
+    #[doc(hidden)]
     pub fn needs(&mut self, thread: ThreadWatch) {
         self.needed.push(thread);
     }
@@ -423,6 +425,7 @@ impl Worker {
     /// Takes from there what persons state of robots: see [`Fleet::take_statement`]. The channel's
     /// bound is how many wait for a tick at most. Counts in `taken` those that a tick has taken
     /// whose budgets and journal are sent.
+    #[doc(hidden)]
     pub fn take_statements_from(
         &mut self,
         statements: Receiver<(u32, Statement)>,
@@ -432,6 +435,7 @@ impl Worker {
     }
 
     /// Copies the refusals there after each tick, unless another thread has the lock at that moment.
+    #[doc(hidden)]
     pub fn tell_refusals_to(&mut self, refusals: Arc<Mutex<RefusalLog>>) {
         self.refusals = Some(refusals);
     }

@@ -8,10 +8,15 @@ mod publisher;
 mod state;
 mod watch;
 
+#[doc(inline)]
 pub use joulebus_bus::{SendError, WaitError, clock};
+#[doc(inline)]
 pub use joulebus_config::Config;
+#[doc(inline)]
 pub use joulebus_config::settings::RefusedSample;
+#[doc(inline)]
 pub use joulebus_connect::refusals::Refused;
+#[doc(inline)]
 pub use joulebus_connect::{ConnectError, error};
 pub use joulebus_plausibility as plausibility;
 pub use joulebus_wire as wire;

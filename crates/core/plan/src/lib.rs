@@ -12,6 +12,7 @@ mod path;
 mod payload;
 mod platform;
 mod question;
+#[doc(hidden)] // For the programs, which print and send answers.
 pub mod report;
 mod robot;
 mod route;
@@ -23,6 +24,7 @@ pub use candidates::Candidates;
 pub use error::{AskError, Differs, PathError, QuestionError, Refused};
 pub use estimate::first_energy;
 pub use fleet::PlanFleet;
+#[doc(inline)]
 pub use joulebus_energy::{Outside, Quantity};
 pub use limits::MAX_STEPS;
 pub use path::{Path, Point};
@@ -34,17 +36,20 @@ pub use trip::{Ranked, Trip, rank, rank_each};
 
 /// Acknowledgements of alarms, as they travel among questions: `planner` sends them, the worker's
 /// thread (`plan-server`) takes them.
+#[doc(hidden)]
 pub mod acknowledgement {
     pub use crate::payload::{decode_acknowledgement as decode, encode_acknowledgement as encode};
 }
 
 /// What persons state of robots' batteries, as it travels among questions.
+#[doc(hidden)]
 pub mod statement {
     pub use crate::payload::{decode_statement as decode, encode_statement as encode};
 }
 
 /// Answering in short steps, for programs that answer others meanwhile or can be interrupted: the
 /// worker's thread, `joulebus serve`, Python and C. [`Question::answer`] does all at once.
+#[doc(hidden)]
 pub mod answering {
     pub use crate::question::Work;
 }

@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::Path;
 use std::time::Duration;
 
+#[doc(inline)]
 pub use joulebus_bus::QueryError;
 use joulebus_bus::{Bus, QueryClient, clock};
 use joulebus_config::Config;
@@ -17,7 +18,7 @@ use joulebus_wire::{Alarm, AnswerHeader, QueryHeader, Statement, fnv1a};
 /// ```no_run
 /// use std::time::Duration;
 ///
-/// use joulebus_plan::Question;
+/// use joulebus_planner::plan::Question;
 /// use joulebus_planner::{ClientError, PlanClient};
 ///
 /// # fn example(question: &Question) -> Result<(), Box<dyn std::error::Error>> {

@@ -19,7 +19,7 @@ use joulebus_wire::AnswerHeader;
 /// ```no_run
 /// # use std::time::Duration;
 /// # use joulebus_planner::Planner;
-/// use joulebus_plan::{Path, Point, rank};
+/// use joulebus_planner::plan::{Path, Point, rank};
 ///
 /// # fn main() -> Result<(), Box<dyn std::error::Error>> {
 /// let mut planner = Planner::connect("configs/fleet.toml")?;
@@ -227,7 +227,9 @@ impl<'a> View<'a> {
         Some(RobotRows { header: *self.states.header(), state, budget, now_ns: self.now_ns })
     }
 
-    /// States in an answer's header which frames it is computed from, and when.
+    /// States in an answer's header which frames it is computed from, and when. For the worker's
+    /// thread that answers others.
+    #[doc(hidden)]
     pub fn state_in(&self, answer: &mut AnswerHeader) {
         let states = self.states.header();
         answer.worker_epoch = states.worker_epoch;
