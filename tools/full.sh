@@ -40,7 +40,7 @@ step containers - 'cargo build --quiet --locked --workspace --lib --bins --examp
 step c - tools/c_api.sh
 step wheel - 'tools/python_package.sh'
 step python-bounds python3.10 'tools/python_bounds.sh'
-step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude joulebus-examples --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
+step package - 'cargo package --workspace --exclude "joulebus-test*" --exclude "joulebus-simulat*" --exclude joulebus-python --locked'
 # What a release consists of, each artefact installed and tried, then users who start with an empty
 # home and that.
 step release - 'tools/release.sh; for user in rust python cpp_ros operator; do tools/walks/$user.sh; done'

@@ -1,1 +1,1 @@
-../../../examples/controller.rs
+../../publisher/examples/controller.rs

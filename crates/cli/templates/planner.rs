@@ -1,1 +1,1 @@
-../../../examples/planner.rs
+../../consumer/examples/planner.rs

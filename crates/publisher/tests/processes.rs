@@ -1,7 +1,7 @@
 //! Guarantees of a source, between separate processes.
 #![allow(clippy::unwrap_used, reason = "a test that cannot continue ends")]
 
-#[path = "../../../examples/controller.rs"]
+#[path = "../examples/controller.rs"]
 #[allow(dead_code, reason = "its `main`")]
 mod controller;
 

@@ -66,21 +66,31 @@ pub fn link_beside(program: &str) -> &'static Path {
     PROGRAM.get_or_init(|| beside(program, "joulebus-link"))
 }
 
+/// The example `name` of a package, of the same build as `program`. Built if it is missing.
+pub fn example_beside(program: &Path, package: &str, name: &str) -> PathBuf {
+    let found = program.with_file_name("examples").join(name);
+    built(program, &found, ["--package", package, "--example", name]);
+    found
+}
+
 fn beside(program: &str, name: &str) -> PathBuf {
     let found = Path::new(program).with_file_name(name);
-    if !found.exists() {
-        let mut build = Command::new(env!("CARGO"));
-        build.args(["build", "--quiet", "--locked"]);
-        build.args(["--package", name, "--bin", name]);
-        // The profile of `program` is its folder's name, but for `dev`.
-        let profile = found.parent().and_then(Path::file_name);
-        if let Some(profile) = profile.filter(|profile| *profile != "debug") {
-            build.arg("--profile").arg(profile);
-        }
-        let built = build.status().is_ok_and(|status| status.success());
-        assert!(built, "{build:?}");
-    }
+    built(Path::new(program), &found, ["--package", name, "--bin", name]);
     found
+}
+
+fn built(program: &Path, file: &Path, target: [&str; 4]) {
+    if file.exists() {
+        return;
+    }
+    let mut build = Command::new(env!("CARGO"));
+    build.args(["build", "--quiet", "--locked"]).args(target);
+    // The profile of `program` is its folder's name, but for `dev`.
+    let profile = program.parent().and_then(Path::file_name);
+    if let Some(profile) = profile.filter(|profile| *profile != "debug") {
+        build.arg("--profile").arg(profile);
+    }
+    assert!(build.status().is_ok_and(|status| status.success()), "{build:?}");
 }
 
 /// Runs a program until it exits, without additional log output.

@@ -22,8 +22,8 @@ pub mod trials;
 
 pub use certificates::certificates;
 pub use child::{
-    Child, Ended, PATIENCE, eventually, joulebus_beside, lab_beside, left_behind, link_beside,
-    remove, run,
+    Child, Ended, PATIENCE, eventually, example_beside, joulebus_beside, lab_beside, left_behind,
+    link_beside, remove, run,
 };
 pub use confined::{MemoryGroup, as_in_docker};
 pub use contains::assert_contains;

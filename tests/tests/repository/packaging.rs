@@ -58,3 +58,52 @@ fn workspace_crates_depend_on_each_other_in_one_exact_version() {
         }
     }
 }
+
+/// What crates.io and docs.rs show of a crate.
+#[test]
+fn each_published_crate_states_what_registries_show() {
+    let metadata = metadata(false);
+    for package in published(&metadata) {
+        let of = name(package);
+        assert_eq!(package["documentation"], format!("https://docs.rs/{of}"));
+        for key in ["description", "readme", "repository", "license"] {
+            assert!(package[key].as_str().is_some_and(|text| !text.is_empty()), "{of}: {key}");
+        }
+        for key in ["keywords", "categories"] {
+            let count = package[key].as_array().map_or(0, Vec::len);
+            assert!((1..=5).contains(&count), "{of}: {count} {key}");
+        }
+        let targets = &package["metadata"]["docs"]["rs"]["targets"];
+        assert_eq!(targets[0], "x86_64-unknown-linux-gnu", "{of}: package.metadata.docs.rs");
+    }
+}
+
+/// Cargo leaves development dependencies without a version out of a package, so an example cannot
+/// use them.
+#[test]
+fn the_sdk_ships_examples_that_use_published_crates_alone() {
+    let metadata = metadata(false);
+    let mut with_examples = Vec::new();
+    for package in published(&metadata) {
+        let targets = package["targets"].as_array().unwrap().iter();
+        for target in targets.filter(|target| target["kind"][0] == "example") {
+            with_examples.push(name(package));
+            let path = target["src_path"].as_str().unwrap();
+            let text = std::fs::read_to_string(path).unwrap();
+            assert!(!text.contains("joulebus_test"), "{path} uses an unpublished crate");
+            let manifest = std::fs::read_to_string(package["manifest_path"].as_str().unwrap());
+            let manifest = manifest.unwrap();
+            let ships = ["include.workspace = true", "\"/examples\""];
+            assert!(
+                ships.iter().any(|text| manifest.contains(text)),
+                "{path} is not in the package"
+            );
+        }
+    }
+    for of in ["publisher", "consumer", "planner", "predictor-worker"] {
+        assert!(
+            with_examples.contains(&&*format!("joulebus-{of}")),
+            "joulebus-{of} has no example"
+        );
+    }
+}

@@ -6,6 +6,7 @@ mod captures;
 mod clocks;
 mod confined;
 mod cut_short;
+mod examples;
 mod floods;
 mod foreign_files;
 mod full_memory;

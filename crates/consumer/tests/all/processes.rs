@@ -1,7 +1,7 @@
 //! The worker as seen by planners, between separate processes. The worker here is a stand-in that
 //! sends ticks on command.
 
-#[path = "../../../../examples/planner.rs"]
+#[path = "../../examples/planner.rs"]
 #[allow(dead_code, reason = "its `main`")]
 mod planner;
 

@@ -1,6 +1,5 @@
 //! Rollouts: the energy of command sequences. A model is fed with its own forecasts for two
 //! seconds.
-//! `cargo run -p joulebus-examples --example rollouts`
 
 use anyhow::Context;
 use joulebus_predictor::{LAGS, Model, Network, ReadingAge, RolloutStart, Rollouts};

@@ -1,8 +1,7 @@
 //! A planner in an event loop that waits for other things as well, here of tokio: forecasts, a
-//! timer, and the worker's exit.
-//! `cargo run -p joulebus-examples --example event_loop configs/fleet.toml`
+//! timer, and the worker's exit. `epoll` and mio wait for the same descriptor.
 //!
-//! `epoll` and mio wait for the same descriptor.
+//! Argument: the fleet's config.
 
 use std::path::Path;
 use std::time::Duration;

@@ -1,5 +1,5 @@
 //! Training: from rows of a simulated fleet to a model file for the worker. The same seed gives the
-//! same bytes on every machine. `cargo run -p joulebus-examples --example training`
+//! same bytes on every machine.
 
 use std::fs;
 

@@ -1,21 +1,15 @@
 //! A capture is an MCAP file. This reads one message by message, in constant memory.
-//! `cargo run -p joulebus-examples --example read_capture [FILE]`
+//!
+//! Argument: a file of `joulebus record`.
 
 use std::collections::BTreeMap;
 
+use anyhow::Context;
 use joulebus_capture_format::{Frame, Reader};
 use joulebus_wire::Forecasts;
 
 fn main() -> anyhow::Result<()> {
-    let directory = tempfile::tempdir()?;
-    let file = match std::env::args().nth(1) {
-        Some(file) => file.into(),
-        None => {
-            let file = directory.path().join("two_seconds.mcap");
-            joulebus_examples::record(&file)?;
-            file
-        }
-    };
+    let file = std::env::args().nth(1).context("name a capture")?;
     let mut reader = Reader::open(file)?;
     let mut messages: BTreeMap<String, u64> = BTreeMap::new();
     let (mut sum_w, mut forecasts) = (0.0, 0);

@@ -1,6 +1,7 @@
 //! A replay in this process, without shared memory: the tick recomputes every forecast, diagnostic
-//! and budget of a capture and compares the bits. `cargo run -p joulebus-examples --example replay
-//! [FILE]`
+//! and budget of a capture and compares the bits.
+//!
+//! Argument: a file of `joulebus record`.
 
 use anyhow::Context;
 use joulebus_capture_format::Reader;
@@ -9,15 +10,7 @@ use joulebus_config::Config;
 use joulebus_models::load_models;
 
 fn main() -> anyhow::Result<()> {
-    let directory = tempfile::tempdir()?;
-    let file = match std::env::args().nth(1) {
-        Some(file) => file.into(),
-        None => {
-            let file = directory.path().join("two_seconds.mcap");
-            joulebus_examples::record(&file)?;
-            file
-        }
-    };
+    let file = std::env::args().nth(1).context("name a capture")?;
     let mut reader = Reader::open(file)?;
 
     // The config and the models that the worker ran with are attached to the capture.

@@ -1,15 +1,25 @@
 //! One fleet of three platforms, each with its own model, rate and limits. One worker forecasts for
-//! all.
-//! `cargo run -p joulebus-examples --example mixed_fleet`
+//! all. Here worker, controller and planner are threads of one process.
 
+use std::fs;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::thread;
 use std::time::Duration;
 
 use joulebus_consumer::{Event, Subscriber, wire::Forecast};
-use joulebus_examples::PrivateFleet;
-use joulebus_publisher::{Pace, Publisher, RobotState};
+use joulebus_predictor_worker::Worker;
+use joulebus_publisher::{Config, Pace, Publisher, RobotState};
 
 /// Other keys come from the platform's file. `joulebus config explain` describes each key.
-const PLATFORMS: &str = r#"
+const FLEET: &str = r#"
+[fleet]
+name = "mixed"
+capacity = 100
+[domain]
+root = "@/domain"
+[ledger]
+checkpoint = ""
 [[platform]]
 file = "builtin:gternal"
 robots = ["0-9"]
@@ -23,9 +33,35 @@ power_max_w = 150.0
 "#;
 
 fn main() -> anyhow::Result<()> {
-    let fleet = PrivateFleet::with_worker(PLATFORMS)?;
-    let mut publisher = Publisher::connect(fleet.config(), "controller")?;
-    let mut subscriber = Subscriber::connect(fleet.config())?;
+    // Shared memory of its own, so that it neither needs another worker nor interferes with one.
+    let folder = tempfile::TempDir::with_prefix_in("joulebus-example-", "/dev/shm")?;
+    let file = folder.path().join("fleet.toml");
+    fs::write(&file, FLEET.replace('@', &folder.path().display().to_string()))?;
+    let config = Config::load(&file)?;
+    let stop = AtomicBool::new(false);
+    thread::scope(|scope| {
+        let (ready, started) = mpsc::channel();
+        // A worker must stay on the thread that opened it.
+        let worker = scope.spawn(|| -> anyhow::Result<()> {
+            let mut worker = Worker::open(&config)?;
+            drop(ready);
+            worker.run(&stop)?;
+            println!("{} ticks", worker.finish().ticks);
+            Ok(())
+        });
+        // Until the worker has opened, or has failed to.
+        let _: Result<(), _> = started.recv();
+        let driven = drive(&config);
+        stop.store(true, Ordering::Relaxed);
+        worker.join().map_err(|_| anyhow::Error::msg("the worker's thread has panicked"))??;
+        driven
+    })
+}
+
+/// Publishes for all robots, reads their forecasts, and prints them once all are known.
+fn drive(config: &Config) -> anyhow::Result<()> {
+    let mut publisher = Publisher::with_config(config, "controller")?;
+    let mut subscriber = Subscriber::with_config(config, "planner")?;
     let mut pace = Pace::every(Duration::from_nanos(33_333_333));
     for tick in 0..600_u32 {
         pace.wait();

@@ -1,5 +1,6 @@
 //! Offline evaluation: recorded trials through the live tick, with the same bits.
-//! `cargo run -p joulebus-examples --example offline_evaluation [FILE…]`
+//!
+//! Arguments: recordings as .npy, CSV or CSV.gz. By default two simulated trials.
 
 use std::path::Path;
 
@@ -17,7 +18,6 @@ robots = ["0-99"]
 "#;
 
 fn main() -> anyhow::Result<()> {
-    // Recordings as .npy, CSV or CSV.gz. By default two simulated trials.
     let mut trials = std::env::args().skip(1).map(Trial::read).collect::<Result<Vec<_>, _>>()?;
     if trials.is_empty() {
         trials = vec![joulebus_sim::protocol::trial(1, 7)?, joulebus_sim::protocol::trial(5, 7)?];
