@@ -33,7 +33,12 @@ use joulebus_program::output::Output;
 
 /// The verbs of joulebus that work on recordings and models (`joulebus VERB` runs them)
 #[derive(Debug, Parser)]
-#[command(name = "joulebus", bin_name = "joulebus", version)]
+#[command(
+    name = "joulebus",
+    bin_name = "joulebus",
+    version,
+    after_help = "Examples:\n  joulebus eval recordings/ --model my.safetensors\n  joulebus help eval"
+)]
 struct Cli {
     #[command(flatten)]
     options: GlobalOptions,
