@@ -42,7 +42,7 @@ use joulebus_predictor::{FeatureSet, LAGS, Linear, Model};
 use serde::{Deserialize, Serialize};
 
 use crate::estimate::hedge::{Hedge, MEMBERS, dot};
-use crate::layout::lanes::{Block as _, LANES, Lanes, any, block, each, put};
+use crate::layout::lanes::{self, Block as _, LANES, Lanes, block, each, put};
 
 /// Deviations that the stack weighs: of the last reading, the network and the mean from the
 /// autoregression, and the level.
@@ -529,7 +529,7 @@ impl OnlineLanes {
         for lane in 0..LANES {
             judges[lane] = mask[lane] & updates.due[lane] & (self.seen[lane] < FIRST);
         }
-        if any(&judges) {
+        if lanes::any(&judges) {
             for lane in (0..LANES).filter(|lane| judges[*lane]) {
                 let mut robot = self.get(lane);
                 robot.judge(&updates.get(lane));
