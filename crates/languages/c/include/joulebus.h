@@ -340,6 +340,36 @@ typedef struct joulebus_drop_counts {
     uint64_t counts[24];
 } joulebus_drop_counts;
 
+/** What the robots of a platform have shown together. 36 bytes, all 0 where there is none. */
+typedef struct joulebus_platform_memory {
+    /** platform_flag bits. */
+    uint32_t flags;
+    /** Known robots, at most 32. */
+    float robots;
+    /** Median of the mean powers of the robots, in that of the training. 0 without one. */
+    float drawn;
+    /**
+     * The same as a prior of the next robot. No robot alone moves it by more than 5 %, so it stays
+     * near 1 in a small fleet.
+     */
+    float power;
+    /** How far commands explain the power: 1 as far as in the training, 0 not at all. */
+    float command_trust;
+    /**
+     * Squared error of the first forecasts above that of the last reading, in the variance of the
+     * model's errors.
+     */
+    float start_excess;
+    /** Scatter of the levels of each robot, in that of the model. */
+    float scatter;
+    /**
+     * Median power of the robots, in that of their commands. 0 while fewer than eight are known.
+     */
+    float level;
+    /** Relative standard deviation of that power between robots. */
+    float spread;
+} joulebus_platform_memory;
+
 /** One robot's command and latest reading in one control tick. 64 bytes. */
 typedef struct joulebus_sample {
     /** Id of the robot, unique in the fleet. */
@@ -560,36 +590,6 @@ typedef struct joulebus_diagnostic {
     float level_w;
 } joulebus_diagnostic;
 
-/** What the robots of a platform have shown together. 36 bytes, all 0 where there is none. */
-typedef struct joulebus_platform_memory {
-    /** platform_flag bits. */
-    uint32_t flags;
-    /** Known robots, at most 32. */
-    float robots;
-    /** Median of the mean powers of the robots, in that of the training. 0 without one. */
-    float drawn;
-    /**
-     * The same as a prior of the next robot. No robot alone moves it by more than 5 %, so it stays
-     * near 1 in a small fleet.
-     */
-    float power;
-    /** How far commands explain the power: 1 as far as in the training, 0 not at all. */
-    float command_trust;
-    /**
-     * Squared error of the first forecasts above that of the last reading, in the variance of the
-     * model's errors.
-     */
-    float start_excess;
-    /** NaN: no longer remembered. */
-    float scatter;
-    /**
-     * Median power of the robots, in that of their commands. 0 while fewer than eight are known.
-     */
-    float level;
-    /** Relative standard deviation of that power between robots. */
-    float spread;
-} joulebus_platform_memory;
-
 /** Header of a frame of diagnostics. */
 typedef struct joulebus_diagnostic_header {
     /** SCHEMA_VERSION. */
@@ -723,71 +723,6 @@ typedef struct joulebus_budget_header {
 } joulebus_budget_header;
 
 /**
- * One robot's outlook. 96 bytes.
- * The assumption: the robot goes on as it does. Its future commands are unknown. The forecast
- * follows from its own recent power, with the platform's mean as the prior.
- * The horizons are 1, 10, 60 and 300 s from stamp_ns on, in this order in each array. The energy
- * lies between the bounds (_lo, _hi) with 90 %. The first bounded horizons have bounds: all, or
- * none of a model without known errors.
- */
-typedef struct joulebus_outlook {
-    /** Id of the robot. */
-    uint32_t robot;
-    /** outlook_flag bits. */
-    uint32_t flags;
-    /** Quality code, as of the forecast of the same tick. */
-    uint16_t quality;
-    /** Detail of the quality. */
-    uint16_t quality_detail;
-    /** Place of the robot's platform, and so of its model, in the config. */
-    uint16_t platform;
-    /** Number of horizons, from the shortest, with bounds. */
-    uint16_t bounded;
-    /** Number of times the robot's slot has been reassigned. */
-    uint32_t generation;
-    /** Mean power expected over the longest horizon, W. */
-    float mean_w;
-    /** Sample::stamp_ns of the last accepted sample. */
-    uint64_t stamp_ns;
-    /** Energy expected over each horizon, J. */
-    float energy_j[4];
-    /** Its lower bounds, J. */
-    float energy_lo_j[4];
-    /** Its upper bounds, J. */
-    float energy_hi_j[4];
-    /** Budget::usable_j of the same tick, J. */
-    float usable_j;
-    /** Budget::time_to_empty_s of the same tick, s. */
-    float time_to_empty_s;
-    /** Its lower bound, s. */
-    float time_to_empty_lo_s;
-    /** Its upper bound, s. */
-    float time_to_empty_hi_s;
-} joulebus_outlook;
-
-/** Header of a frame of Outlooks. */
-typedef struct joulebus_outlook_header {
-    /** SCHEMA_VERSION. */
-    uint32_t schema;
-    /** Process id of the worker. */
-    uint32_t pid;
-    /** As in ForecastHeader::worker_epoch. */
-    uint64_t worker_epoch;
-    /** As in ForecastHeader::tick. */
-    uint64_t tick;
-    /** Period of the tick, ns: a frame older than two of these is stale. */
-    uint64_t period_ns;
-    /** Hash of all models, as in ForecastHeader::model_hash. */
-    uint64_t model_hash;
-    /** When the tick began to compute, monotonic ns. */
-    uint64_t compute_start_ns;
-    /** When the frame was sent, monotonic ns. */
-    uint64_t sent_ns;
-    /** When the frame was sent, Unix ns: informative only. */
-    uint64_t sent_unix_ns;
-} joulebus_outlook_header;
-
-/**
  * State from which plans of one robot start. 208 bytes.
  * While the robot's next sample is overdue, lag window and reading age include open_steps periods
  * that the model bridged with its own forecasts, as the forecast published in the same tick does.
@@ -908,6 +843,71 @@ typedef struct joulebus_plan_state_header {
     /** When the frame was sent, Unix ns: informative only. */
     uint64_t sent_unix_ns;
 } joulebus_plan_state_header;
+
+/**
+ * One robot's outlook. 96 bytes.
+ * The assumption: the robot goes on as it does. Its future commands are unknown. The forecast
+ * follows from its own recent power, with the platform's mean as the prior.
+ * The horizons are 1, 10, 60 and 300 s from stamp_ns on, in this order in each array. The energy
+ * lies between the bounds (_lo, _hi) with 90 %. The first bounded horizons have bounds: all, or
+ * none of a model without known errors.
+ */
+typedef struct joulebus_outlook {
+    /** Id of the robot. */
+    uint32_t robot;
+    /** outlook_flag bits. */
+    uint32_t flags;
+    /** Quality code, as of the forecast of the same tick. */
+    uint16_t quality;
+    /** Detail of the quality. */
+    uint16_t quality_detail;
+    /** Place of the robot's platform, and so of its model, in the config. */
+    uint16_t platform;
+    /** Number of horizons, from the shortest, with bounds. */
+    uint16_t bounded;
+    /** Number of times the robot's slot has been reassigned. */
+    uint32_t generation;
+    /** Mean power expected over the longest horizon, W. */
+    float mean_w;
+    /** Sample::stamp_ns of the last accepted sample. */
+    uint64_t stamp_ns;
+    /** Energy expected over each horizon, J. */
+    float energy_j[4];
+    /** Its lower bounds, J. */
+    float energy_lo_j[4];
+    /** Its upper bounds, J. */
+    float energy_hi_j[4];
+    /** Budget::usable_j of the same tick, J. */
+    float usable_j;
+    /** Budget::time_to_empty_s of the same tick, s. */
+    float time_to_empty_s;
+    /** Its lower bound, s. */
+    float time_to_empty_lo_s;
+    /** Its upper bound, s. */
+    float time_to_empty_hi_s;
+} joulebus_outlook;
+
+/** Header of a frame of Outlooks. */
+typedef struct joulebus_outlook_header {
+    /** SCHEMA_VERSION. */
+    uint32_t schema;
+    /** Process id of the worker. */
+    uint32_t pid;
+    /** As in ForecastHeader::worker_epoch. */
+    uint64_t worker_epoch;
+    /** As in ForecastHeader::tick. */
+    uint64_t tick;
+    /** Period of the tick, ns: a frame older than two of these is stale. */
+    uint64_t period_ns;
+    /** Hash of all models, as in ForecastHeader::model_hash. */
+    uint64_t model_hash;
+    /** When the tick began to compute, monotonic ns. */
+    uint64_t compute_start_ns;
+    /** When the frame was sent, monotonic ns. */
+    uint64_t sent_ns;
+    /** When the frame was sent, Unix ns: informative only. */
+    uint64_t sent_unix_ns;
+} joulebus_outlook_header;
 
 /** Header of a question. 112 bytes. */
 typedef struct joulebus_query_header {

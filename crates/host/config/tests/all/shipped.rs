@@ -121,11 +121,12 @@ fn the_page_about_keys_has_every_key() {
         if tables.last().is_none_or(|(last, _)| *last != section) {
             tables.push((section, head.to_owned()));
         }
-        let cell = |text: &str| text.replace('|', "\\|");
-        let (name, doc, default) = (key.name(), cell(key.doc), key.default_words());
+        let cell = |text: &str| text.replace('|', "\\|").replace('<', "\\<");
+        let (name, doc, default) = (key.name(), cell(key.doc), cell(&key.default_words()));
         let default = default.strip_prefix("default ").unwrap_or(&default);
         let default = default.strip_prefix("default: ").unwrap_or(default);
-        let row = format!("| `{name}` | {doc} | {} | {} | {default} |\n", key.unit, key.range());
+        let row =
+            format!("| `{name}` | {doc} | {} | {} | {default} |\n", key.unit, cell(&key.range()));
         tables.last_mut().expect("a table").1 += &row;
     }
     let tables: Vec<String> = tables.into_iter().map(|(_, table)| table).collect();
