@@ -110,6 +110,7 @@ fn a_program_shows_the_help_of_its_verbs_and_what_is_this_ones_needs_none() {
         ("eval --help", 1, "cargo build --release -p joulebus-lab"),
         ("completions bash", 0, "without the options of joulebus-lab"),
         ("cat run.mcap --topics x", 2, "cat went: `mcap cat FILE --json`"),
+        ("calibrate a.mcap", 2, "calibrate went: alarms.level_alarms_per_robot_h"),
         ("serve --format csv", 2, "csv went: the verb `cat`"),
     ] {
         let ended = installed.joulebus("", words);
