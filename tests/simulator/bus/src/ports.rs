@@ -371,9 +371,9 @@ impl Noted {
 
 /// Places have no limit for planners.
 #[derive(Debug)]
-pub(crate) struct Open;
+pub(crate) struct OpenPlaces;
 
-impl Open {
+impl OpenPlaces {
     const fn new(_: &Limits, _: Flow) -> Self {
         Self
     }

@@ -8,7 +8,7 @@ use joulebus_simulated_host::{self as host, time};
 use joulebus_wire::{Service, WakeEvent};
 
 use crate::liveness::worker_lock::LockWatch;
-use crate::ports::Open;
+use crate::ports::OpenPlaces;
 use crate::queues::{Waiting, with};
 use crate::{Bus, Limits, OpenError, PeerWatch, WaitError, Woken};
 
@@ -95,7 +95,7 @@ impl Waiter {
         service: Service,
         _: &Limits,
         _: (usize, usize),
-        _: Option<Open>,
+        _: Option<OpenPlaces>,
     ) -> Result<Self, OpenError> {
         host::operation();
         crate::left::check_left()?;
