@@ -121,6 +121,7 @@ prometheus() { ready='ready to receive' lasting env prometheus "$@"; }
 WHOLE = {
     "battery": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
     "model": ("configs/platforms/gternal.toml", "joulebus config check configs/fleet.toml"),
+    "webhook": ("configs/webhooks/receivers.toml", "joulebus config check configs/webhooks/receivers.toml"),
     "workers": ("configs/links/standby.toml", "joulebus link configs/links/standby.toml --check"),
 }
 

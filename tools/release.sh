@@ -88,7 +88,7 @@ make_tarball() {
     find "$staged/$name/bin" -type f -exec strip {} +
     cp README.md CHANGELOG.md LICENSE-* "$staged/$name"
     mkdir "$staged/$name/configs"
-    cp -r configs/fleet.toml configs/platforms configs/bridges "$staged/$name/configs"
+    cp -r configs/fleet.toml configs/platforms configs/bridges configs/webhooks "$staged/$name/configs"
     cp -r ros2 "$staged/$name"
     mapfile -t programs < <(tools/programs.sh)
     tools/licences.py "${programs[@]}" | gzip -9n >"$staged/$name/licences.txt.gz"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # From nothing to an alarm in a chat, as who operates a fleet: the Debian package of dist/, the two
-# services' commands, a page that names what is missing, an alarm's card, a chat.
+# services' commands, a page that names what is missing, an alarm's card, the webhook.
 #
 #     tools/walks/operator.sh
 #
@@ -25,11 +25,14 @@ step 'joulebus config check' joulebus config check etc/lab.toml
 # What a chat would be.
 cat >hook.py <<'PYTHON'
 import http.server
+import json
 
 
 class Hook(http.server.BaseHTTPRequestHandler):
     def do_POST(self):
-        print(self.rfile.read(int(self.headers["Content-Length"])).decode(), flush=True)
+        for change in json.loads(self.rfile.read(int(self.headers["Content-Length"])))["changes"]:
+            card = change.get("card", {})
+            print(change["change"], change["alarm"], "robot", change["robot"], "-", card.get("check"), flush=True)
         self.send_response(204)
         self.end_headers()
 
@@ -46,14 +49,7 @@ step 'somebody listens for alarms' seen hook '^listening'
 hook=http://127.0.0.1:$(sed -n 's/^listening on //p' .hook.log)/
 background worker joulebus run --config etc/lab.toml
 step 'the worker of joulebus@lab is ready' seen worker '^ready'
-cat >chat.sh <<'CHAT'
-#!/bin/sh
-check=$(joulebus alarms --explain "$JOULEBUS_ALARM" | tr '\n' ' ')
-curl --fail --silent --show-error --data "$JOULEBUS_CHANGE $JOULEBUS_ALARM robot $JOULEBUS_ROBOT - $check" "$1"
-CHAT
-chmod +x chat.sh
-background alarms joulebus alarms --on-alarm "./chat.sh $hook" --config etc/lab.toml
-background page joulebus serve --http 127.0.0.1:0 --config etc/lab.toml
+background page joulebus serve --http 127.0.0.1:0 --webhook "$hook" --config etc/lab.toml
 step 'the page of joulebus-serve@lab is served' seen page 'http://'
 page=$(grep -o 'http://[0-9.:]*' .page.log | head -n 1)
 background robots joulebus publish sim --config etc/lab.toml --robots 10
@@ -67,9 +63,9 @@ step 'it is added, and the worker is started again' seen worker '^ready'
 background robots joulebus publish sim --config etc/lab.toml --robots 10 --fault 4=load:3
 step 'the page has charge and time to empty' until_says '"time_to_empty_s":[0-9]' curl -s "$page/api/v1/robots?count=10"
 step 'robot 4 draws 3 W too many: an alarm' until_says '"robot":4,"alarm":"[A-Za-z]*' curl -s "$page/api/v1/alarms"
-step 'the chat is told, with what to check' seen hook '^raised .* robot 4 - [A-Za-z]'
+step 'the webhook is told, with what to check' seen hook '^raised .* robot 4 - [A-Za-z]'
 grep -m 1 '^raised .* robot 4' .hook.log
 alarm=$(sed -n 's/^raised \([A-Za-z]*\) robot 4.*/\1/p' .hook.log | head -n 1)
 step "its card: joulebus alarms --explain $alarm" joulebus alarms --explain "$alarm"
 step 'it is acknowledged' joulebus alarms --config etc/lab.toml --acknowledge 4 "$alarm" --by operator
-walk_says 'a page that names what is missing, a card, a chat'
+walk_says 'a page that names what is missing, a card, a webhook'

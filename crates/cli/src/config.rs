@@ -35,7 +35,7 @@ enum Verb {
     /// Write a platform's and a fleet's config from recordings or a data sheet, and train its model
     /// if asked
     Init(external::Args),
-    /// Check files of fleets, platforms, bridges and links (exit 2 if one is refused)
+    /// Check files of fleets, platforms, bridges, links and webhooks (exit 2 if one is refused)
     #[command(
         after_help = "Example:\n  joulebus config check configs/fleet.toml configs/links/*.toml"
     )]

@@ -12,6 +12,7 @@ pub(crate) fn of(file: File) -> Value {
         File::Fleet => json!(["fleet", "platform"]),
         File::Bridge => json!(["robots"]),
         File::Link => json!(["network"]),
+        File::Webhooks => json!(["webhook"]),
         // Keys of a platform may stand in the fleet's file instead.
         _ => json!([]),
     };

@@ -1,5 +1,5 @@
 //! The meaning and the remedy of each alarm: the one source of `joulebus alarms --explain`, the
-//! page and the alert rules for Prometheus. docs/reference/alarms.md has them in short.
+//! page, webhooks and the alert rules for Prometheus. docs/reference/alarms.md has them in short.
 
 use crate::{Alarm, Level};
 

@@ -1,9 +1,10 @@
-//! The program of `joulebus serve`: a fleet's page, API and metrics.
+//! The program of `joulebus serve`: a fleet's page, API and metrics, and its alarms.
 #![forbid(unsafe_code)]
 
 mod arguments;
 mod http;
 mod serve;
+mod webhook;
 
 use std::process::ExitCode;
 

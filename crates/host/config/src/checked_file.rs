@@ -1,4 +1,4 @@
-//! The files of bridges and links: sections whose keys have passed the table of keys.
+//! The files of bridges, links and webhooks: sections whose keys have passed the table of keys.
 
 use std::ops::{Deref, RangeInclusive};
 use std::path::{Path, PathBuf};

@@ -1,7 +1,7 @@
-//! Keys of the files of bridges and links.
+//! Keys of the files of bridges, links and webhooks.
 
 use crate::key::DefaultValue::{Flag, Integer, Number, Required, Text, Unset};
-use crate::key::File::{Bridge, Link};
+use crate::key::File::{Bridge, Link, Webhooks};
 use crate::key::{DefaultValue, Key, TextRule, ValueKind};
 use crate::keys::{int, key, num, of};
 
@@ -15,6 +15,11 @@ const fn link(path: &'static str, kind: ValueKind, unit: &'static str, default: 
     of(Link, key(path, kind, unit, default, doc))
 }
 
+#[rustfmt::skip]
+const fn hook(path: &'static str, kind: ValueKind, default: DefaultValue, doc: &'static str) -> Key {
+    of(Webhooks, key(path, kind, "", default, doc))
+}
+
 const fn any(words: &'static str) -> ValueKind {
     ValueKind::Text(TextRule::Any(words))
 }
@@ -25,6 +30,7 @@ const fn texts(rule: TextRule, min: usize, max: usize) -> ValueKind {
 
 const FILE: ValueKind = ValueKind::Text(TextRule::File);
 const LINK_NAME: ValueKind = ValueKind::Text(TextRule::Link);
+const WEB: ValueKind = ValueKind::Text(TextRule::Web);
 const TOPIC: ValueKind = any("topic like \"fleet/{robot}/power\"");
 const UNIT: ValueKind = any("unit like \"mW\"");
 const VALUE: ValueKind = any("name of a value like \"power_w\"");
@@ -126,4 +132,15 @@ pub(crate) const LINK: &[Key] = &[
     link("lease.key", FILE, "", Unset, "Private key of this host, mode 0600."),
     link("lease.user", any("user name"), "", Unset, "Name of etcd's user, with password."),
     link("lease.password", FILE, "", Unset, "File with the password of etcd's user, mode 0600."),
+];
+
+/// Every key of a file of webhooks.
+#[rustfmt::skip]
+pub(crate) const WEBHOOKS: &[Key] = &[
+    hook("webhook.address", WEB, Unset, "Address that alarms are posted to."),
+    hook("webhook.address_file", FILE, Unset, "Instead of address: file with it, mode 0600. Addresses of chats are secret."),
+    hook("webhook.ca", FILE, Unset, "Authorities that the receiver's certificate may be of, PEM. Without it Mozilla's."),
+    hook("webhook.page", WEB, Unset, "Address of the page of joulebus serve --http, as its readers reach it: texts link to it."),
+    hook("webhook.secret_file", FILE, Unset,
+        "File with a secret, mode 0600: requests are signed with it as Standard Webhooks says. Base64 of 24 to 64 bytes."),
 ];

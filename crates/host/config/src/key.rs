@@ -39,11 +39,14 @@ pub enum File {
     Bridge,
     /// The file of `joulebus link`.
     Link,
+    /// The file of receivers of alarms, of `joulebus serve --webhooks`.
+    Webhooks,
 }
 
 impl File {
     /// All of them.
-    pub const ALL: [Self; 4] = [Self::Fleet, Self::Platform, Self::Bridge, Self::Link];
+    pub const ALL: [Self; 5] =
+        [Self::Fleet, Self::Platform, Self::Bridge, Self::Link, Self::Webhooks];
 
     /// Its name, as `joulebus config schema` takes it.
     pub const fn name(self) -> &'static str {
@@ -52,6 +55,7 @@ impl File {
             Self::Platform => "platform",
             Self::Bridge => "bridge",
             Self::Link => "link",
+            Self::Webhooks => "webhooks",
         }
     }
 
@@ -149,6 +153,8 @@ pub enum TextRule {
     Prefixes,
     /// The path of a file, relative to the file that names it.
     File,
+    /// An address of HTTP or HTTPS.
+    Web,
     /// Any other: its reader checks it.
     Any(&'static str),
 }
@@ -292,6 +298,7 @@ impl TextRule {
             Self::Link => "1 to 64 letters, digits, - _ and .",
             Self::Prefixes => "at most 128 letters, digits, / - _ and .",
             Self::File => "path relative to this file",
+            Self::Web => "\"http://host/path\" or \"https://host/path\"",
             Self::Any(words) => words,
             Self::Model => "\"persistence\", \"builtin:<name>\", or a path relative to this file",
         }
@@ -309,6 +316,7 @@ impl TextRule {
             Self::Link => Some("^[A-Za-z0-9_.-]{1,64}$"),
             Self::Prefixes => Some("^[A-Za-z0-9/_.-]{0,128}$"),
             Self::PlatformFile | Self::Model | Self::File => Some("^.+$"),
+            Self::Web => Some("^https?://[^/ ]+"),
             Self::StateFile | Self::Voltages | Self::Cpus | Self::Columns | Self::Any(_) => None,
         }
     }
@@ -360,6 +368,10 @@ impl TextRule {
             }
             Self::PlatformFile | Self::Model | Self::File => {
                 !text.is_empty() && !text.contains('\0')
+            }
+            Self::Web => {
+                let rest = text.strip_prefix("http://").or_else(|| text.strip_prefix("https://"));
+                rest.is_some_and(|rest| !rest.is_empty() && !rest.starts_with(['/', ' ']))
             }
             Self::Any(_) => true,
         }

@@ -122,7 +122,7 @@ pub const KEYS: &[Key] = &[
     key("readers.max_planners", int(bounds::MAX_PLANNERS), "readers", DefaultValue::Integer(16),
         "Planners and views that can be connected at the same time. Worker, two recorders and a link have places of their own."),
     key("readers.worker_stale_after_s", num(SILENCE_S), "s", DefaultValue::Number(1.0),
-        "Silence after which page, alarms and metrics report the worker as stale. Planners hear of two missed ticks."),
+        "Silence after which page, alarms, webhooks and metrics report the worker as stale. Planners hear of two missed ticks."),
 
     key("queries.answer", ValueKind::Choice(&["on", "off"]), "", DefaultValue::Text("on"),
         "Whether a thread of the worker answers questions about plans, for processes that do not compute for themselves."),

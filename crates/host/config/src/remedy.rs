@@ -180,8 +180,8 @@ fn likeness(path: &str, key: &Key, wanted: &str) -> f64 {
     best + same_section + 0.01 * whole
 }
 
-/// The replacement of receivers of alarms.
-const NO_WEBHOOKS: &str = "It went: `joulebus alarms --on-alarm` runs curl for each change, and Alertmanager groups and repeats (docs/how-to/webhook.md)";
+/// The replacement of bodies for single receivers.
+const ONE_BODY: &str = "It went: each request has one body, whose `text` Slack and Mattermost show. For another form, run curl by `joulebus alarms --on-alarm` (docs/how-to/webhook.md)";
 
 /// The replacement of realtime clocks that are kept together.
 const ROUND_TRIPS: &str = "Remove the section: round trips alone compare the clocks of two hosts (docs/explanation/links.md)";
@@ -204,7 +204,12 @@ const REPLACED: &[(&str, &str)] = &[
     ("platform.forecast = mixture", "\"online\", the default, replaces it"),
     ("shards", SEVERAL_FLEETS),
     ("shard", SEVERAL_FLEETS),
-    ("webhook", NO_WEBHOOKS),
+    ("webhook.format", ONE_BODY),
+    ("webhook.template", ONE_BODY),
+    (
+        "webhook.repeat_s",
+        "It went: Prometheus repeats alerts to Alertmanager, by the rules in configs/prometheus (docs/how-to/webhook.md)",
+    ),
     ("clock", ROUND_TRIPS),
     ("mqtt.write.fields", OWN_NAMES),
     ("ros2.write.unit", OWN_NAMES),

@@ -2,13 +2,13 @@
 
 use joulebus_settings::bounds;
 
-use crate::gateway_keys::{BRIDGE, LINK};
+use crate::gateway_keys::{BRIDGE, LINK, WEBHOOKS};
 use crate::key::Key;
 use crate::keys::KEYS;
 
 /// The keys of all files.
 pub fn keys() -> impl Iterator<Item = &'static Key> {
-    KEYS.iter().chain(BRIDGE).chain(LINK)
+    KEYS.iter().chain(BRIDGE).chain(LINK).chain(WEBHOOKS)
 }
 
 /// The key at `path`, if there is one. `*` stands for a name that is free.
@@ -22,6 +22,7 @@ pub fn list(path: &str) -> Option<usize> {
     Some(match path {
         "platform" => *bounds::PLATFORMS.end() as usize,
         "mqtt.read" | "mqtt.vda5050" | "mqtt.write" | "ros2.read" | "ros2.write" => 10_000,
+        "webhook" => 16,
         "worker.take" => 256,
         _ => return None,
     })

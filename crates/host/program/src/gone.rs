@@ -66,12 +66,6 @@ const GONE: &[(&str, &str, &str)] = &[
     ("serve", "--foxglove --host --port --allow-origin --per-robot", FOXGLOVE),
     (
         "serve",
-        "--webhook --webhooks --webhook-ca",
-        "`joulebus alarms --on-alarm` runs curl for each change, and Alertmanager groups and repeats: \
-         docs/how-to/webhook.md",
-    ),
-    (
-        "serve",
         "--proxy",
         "a reverse proxy limits its clients, as the server does of those that reach it directly: \
          docs/how-to/open-the-page.md",
@@ -158,7 +152,6 @@ const GONE: &[(&str, &str, &str)] = &[
         "shards",
         "a fleet has one worker, and a large one is split into several: docs/how-to/several-fleets.md",
     ),
-    ("KIND", "webhooks", "`joulebus alarms --on-alarm` needs no file: docs/how-to/webhook.md"),
     (
         "BENCHMARK",
         "wait",

@@ -19,6 +19,7 @@ KINDS = {
     "platform": sorted((CONFIGS / "platforms").glob("*.toml")),
     "bridge": sorted((CONFIGS / "bridges").glob("*.toml")),
     "link": sorted((CONFIGS / "links").glob("*.toml")),
+    "webhooks": sorted((CONFIGS / "webhooks").glob("*.toml")),
 }
 FILES = [(kind, path) for kind, paths in KINDS.items() for path in paths]
 

@@ -126,6 +126,8 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         "link/src/rmw.rs",
         // Times that a page shows beside its values.
         "serve/src/http/reader.rs",
+        // Times of requests, which a signature contains.
+        "serve/src/webhook/mod.rs",
         // When a person acknowledged an alarm.
         "plan-server/src/acknowledgements.rs",
         // When a message came, beside the time that it states.

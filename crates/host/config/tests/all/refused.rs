@@ -151,11 +151,24 @@ fn what_went_from_files_of_bridges_and_links_is_refused_with_what_takes_its_plac
         (File::Bridge, "[[mqtt.vda5050]]\ntopic = \"a\"\npass_on = \"b\"\n", "\"outlook\""),
         (File::Bridge, &format!("{writes}fields = {{ x = {{ value = \"soc\" }} }}\n"), "Node-RED"),
         (File::Bridge, "[[ros2.write]]\nwhat = \"value\"\nunit = \"%\"\n", "Node-RED"),
-        (File::Fleet, "[[webhook]]\naddress = \"http://host/\"\n", "--on-alarm"),
     ] {
         let file = CheckedFile::parse(text, Path::new("file.toml"), kind).unwrap();
         let mut remedies = file.problems.iter().map(|problem| &problem.remedy);
         assert!(remedies.any(|remedy| remedy.contains(instead)), "{text}: {:?}", file.problems);
+    }
+}
+
+#[test]
+fn a_key_of_a_webhook_that_is_gone_is_refused_with_what_takes_its_place() {
+    for (line, instead) in [
+        ("format = \"slack\"", "`text`"),
+        ("template = '{}'", "--on-alarm"),
+        ("repeat_s = 60", "configs/prometheus"),
+    ] {
+        let text = format!("[[webhook]]\naddress = \"http://host/\"\n{line}\n");
+        let file = CheckedFile::parse(&text, Path::new("hooks.toml"), File::Webhooks).unwrap();
+        let [problem] = file.problems.as_slice() else { panic!("{line}: {:?}", file.problems) };
+        assert!(problem.remedy.contains(instead), "{line}: {problem}");
     }
 }
 

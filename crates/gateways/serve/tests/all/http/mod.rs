@@ -6,6 +6,7 @@ mod hostile;
 mod metrics;
 mod openapi;
 mod socket;
+mod webhook;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
@@ -540,7 +541,8 @@ fn another_address_needs_a_token_and_clients_must_send_it() {
 fn signals_end_the_server_whatever_clients_do() {
     for signal in end_signals() {
         let fleet = Fleet::new();
-        let (mut server, address) = fleet.serve(&[]);
+        let (mut server, address) = fleet.serve(&["--webhook", "http://127.0.0.1:1/"]);
+        server.wait_for_line("of alarms of fleet http");
         let _idle = client::dial(&address);
         let _events = Events::open(&address, "");
         server.signal(signal);
@@ -548,22 +550,25 @@ fn signals_end_the_server_whatever_clients_do() {
         assert_eq!(ended.code(), Some(0), "{ended:?}");
         let report = ended.json();
         assert!(report["http"]["requests"].as_u64().unwrap() >= 1, "{report}");
+        assert_eq!(report["webhooks"][0]["lost"], 0, "{report}");
         assert_eq!(fleet.stale_files(), Vec::<PathBuf>::new());
     }
 }
 
 #[test]
 fn a_server_whose_shared_memory_is_removed_reports_it_and_exits_with_1() {
-    let fleet = Fleet::new();
-    let mut worker = fleet.worker();
-    let mut server = fleet.serve_alone(&["--http", "127.0.0.1:0"]);
-    server.wait_for_line(" fleet http");
-    fleet.stale_files().iter().for_each(|path| remove(path));
-    let ended = server.wait();
-    assert_eq!(ended.code(), Some(1), "{ended:?}");
-    assert!(ended.text().is_empty(), "{ended:?}");
-    assert_contains(&ended.errors(), ["error: ", "RemoveIPC"]);
-    assert_eq!(worker.wait().code(), Some(1));
-    // What they made meanwhile.
-    fleet.stale_files().iter().for_each(|path| remove(path));
+    for words in [&["--http", "127.0.0.1:0"][..], &["--webhook", "http://127.0.0.1:1/"]] {
+        let fleet = Fleet::new();
+        let mut worker = fleet.worker();
+        let mut server = fleet.serve_alone(words);
+        server.wait_for_line(" fleet http");
+        fleet.stale_files().iter().for_each(|path| remove(path));
+        let ended = server.wait();
+        assert_eq!(ended.code(), Some(1), "{words:?}: {ended:?}");
+        assert!(ended.text().is_empty(), "{words:?}: {ended:?}");
+        assert_contains(&ended.errors(), ["error: ", "RemoveIPC"]);
+        assert_eq!(worker.wait().code(), Some(1));
+        // What they made meanwhile.
+        fleet.stale_files().iter().for_each(|path| remove(path));
+    }
 }
