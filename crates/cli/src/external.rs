@@ -15,8 +15,8 @@ use joulebus_program::output::log_line;
 /// The programs that are a verb each.
 const PROGRAMS: [&str; 4] = ["serve", "bridge", "link", "bench"];
 /// The verbs of `joulebus-lab`.
-const OF_LAB: [&str; 9] =
-    ["import", "data", "train", "analyze", "eval", "calibrate", "report", "model", "mission"];
+const OF_LAB: [&str; 8] =
+    ["import", "data", "train", "analyze", "eval", "report", "model", "mission"];
 /// Its verbs below those of `joulebus`.
 const BELOW: [[&str; 2]; 2] = [["publish", "trial"], ["config", "init"]];
 

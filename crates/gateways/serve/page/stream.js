@@ -1,4 +1,4 @@
-// Server-sent events read with fetch, because EventSource hides the status of an answer (401, 429,
+// Server-sent events read with fetch, because EventSource hides the status of an answer (401,
 // 503). Reconnects by itself: .25 s after the first failure, doubled up to 8 s, with a random part.
 
 const FIRST_DELAY_MS = 250;

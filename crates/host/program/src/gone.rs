@@ -60,15 +60,14 @@ const GONE: &[(&str, &str, &str)] = &[
         PROGRAM,
         "calibrate",
         "alarms.level_alarms_per_robot_h chooses the limit of levels by a rate, and `joulebus alarms \
-         CAPTURE` shows what other limits would be set by: docs/how-to/alarms.md",
+         CAPTURE` counts what healthy robots raised: docs/how-to/alarms.md",
     ),
     ("FORMAT", "ndjson csv", ROWS),
     ("serve", "--foxglove --host --port --allow-origin --per-robot", FOXGLOVE),
     (
         "serve",
         "--proxy",
-        "a reverse proxy limits its clients, as the server does of those that reach it directly: \
-         docs/how-to/open-the-page.md",
+        "a reverse proxy limits its clients, who are one to the server: docs/how-to/open-the-page.md",
     ),
     ("eval", "--partition --merge --out", PARTS),
     ("eval", "--horizons", HORIZONS),
@@ -89,7 +88,6 @@ const GONE: &[(&str, &str, &str)] = &[
     ("train trials", "--whole-rows", WHOLE),
     ("analyze", "--whole-rows", WHOLE),
     ("eval", "--whole-rows", WHOLE),
-    ("calibrate", "--whole-rows", WHOLE),
     ("report", "--whole-rows", WHOLE),
     ("model compare", "--whole-rows", WHOLE),
     ("publish trial", "--whole-rows", WHOLE),

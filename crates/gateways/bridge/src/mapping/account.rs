@@ -90,7 +90,7 @@ impl Reason {
     }
 
     /// True if a value was lost. Retained messages are skipped on purpose, a filter may match topics
-    /// of others, robots that are switched off do not answer, and a field that never came, or that is unknown, is not lost.
+    /// of others, and a field that never came, or that is unknown, is not lost.
     const fn is_loss(self) -> bool {
         !matches!(
             self,
