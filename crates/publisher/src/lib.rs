@@ -27,6 +27,7 @@ pub use publisher::{PublishError, Publisher, Sent};
 pub use state::{Charger, RobotState};
 
 /// The columns of other languages. For the crate `joulebus-python`.
+#[doc(hidden)]
 pub mod columns {
     pub use crate::state::{COLUMNS, Column, SetColumn};
 }

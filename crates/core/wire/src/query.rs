@@ -47,7 +47,8 @@ pub const ANSWER_RULES: u32 = 7;
 /// platform's other robots. Trust in commands follows the errors of 10 s and more.
 ///
 /// 11: the scatter of levels is no longer remembered. Errors of batteries are kept in single
-/// precision, and shadow forecasts to three digits.
+/// precision, and shadow forecasts to three digits. The plan state of a robot whose window was emptied
+/// has the command of its last sample.
 pub const TICK_RULES: u32 = 11;
 
 /// Maximum number of values of a question.

@@ -140,12 +140,12 @@ struct Log {
 
 impl Log {
     fn shows(&self, of: &Metadata<'_>) -> bool {
-        of.is_event() && *of.level() <= self.levels.of(of.target())
+        !of.is_span() && *of.level() <= self.levels.of(of.target())
     }
 
     fn taps(&self, of: &Metadata<'_>) -> bool {
         let targets = self.tap.map_or(&[][..], |tap| tap.targets);
-        of.is_event()
+        !of.is_span()
             && targets
                 .iter()
                 .any(|(target, level)| of.target().starts_with(target) && of.level() <= level)

@@ -200,10 +200,12 @@ impl Detector {
         while look != 0 {
             let (bit, place) = (look & look.wrapping_neg(), look.trailing_zeros() as usize);
             look &= !bit;
-            // Conditions contain only existing alarms.
             let agreeing = place_of(place).and_then(|place| self.agreeing.get_mut(place));
             let Some(agreeing) = agreeing else {
-                return;
+                // A state of an earlier version has alarms that are retired.
+                self.raised &= !bit;
+                self.changing &= !bit;
+                continue;
             };
             if change & bit == 0 {
                 *agreeing = 0;

@@ -245,9 +245,9 @@ impl Window {
         self.unread_steps += 1;
     }
 
-    /// Takes a sample's command, `elapsed_s` after the one `before`, which is NaN if unknown. Returns the row for the forecast
-    /// of the next reading, and whether the forecast can be made: the window is full, and command
-    /// and reading age are known if they are `required`.
+    /// Takes a sample's command, `elapsed_s` after the one `before`, which is NaN if unknown. Returns
+    /// the row for the forecast of the next reading, and whether the forecast can be made: the window
+    /// is full, and command and reading age are known if they are `required`.
     #[inline(always)]
     pub(crate) fn next_row(
         &mut self,

@@ -336,7 +336,8 @@ impl BatteryState {
         (self.soc, self.sd) = (now.left, now.own_sd.min(1.0));
         (self.below, self.above) = (outward(now.below), outward(now.above));
         self.range_sd = now.range_sd;
-        self.monitor = now.monitor.clamp(-1.0, 1.0);
+        // What a sample adds may be less than half a rounding, and must not be lost.
+        self.monitor = outward(now.monitor.abs().min(1.0)).copysign(now.monitor);
         let unmetered_s = self.unmetered_s(at);
         self.pause_s += unmetered_s as f32;
         self.pause = (self.pause + (gap.most_w * unmetered_s * counting.per_joule) as f32).min(1.0);

@@ -243,18 +243,18 @@ pub(super) fn create<P, E>(
 
 const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
     use PublishSubscribeCreateError as Create;
-    use PublishSubscribeOpenError as OpenPlaces;
+    use PublishSubscribeOpenError as Open;
     use PublishSubscribeOpenOrCreateError as Error;
     matches!(
         error,
         Error::SystemInFlux
             | Error::PublishSubscribeOpenError(
-                OpenPlaces::HangsInCreation
-                    | OpenPlaces::IsMarkedForDestruction
-                    | OpenPlaces::DoesNotExist
-                    | OpenPlaces::ServiceInCorruptedState
-                    | OpenPlaces::ExceedsMaxNumberOfNodes
-                    | OpenPlaces::Interrupt
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
             )
             | Error::PublishSubscribeCreateError(
                 Create::HangsInCreation
@@ -268,18 +268,18 @@ const fn is_transient(error: &PublishSubscribeOpenOrCreateError) -> bool {
 
 const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
     use EventCreateError as Create;
-    use EventOpenError as OpenPlaces;
+    use EventOpenError as Open;
     use EventOpenOrCreateError as Error;
     matches!(
         error,
         Error::SystemInFlux
             | Error::EventOpenError(
-                OpenPlaces::HangsInCreation
-                    | OpenPlaces::IsMarkedForDestruction
-                    | OpenPlaces::DoesNotExist
-                    | OpenPlaces::ServiceInCorruptedState
-                    | OpenPlaces::ExceedsMaxNumberOfNodes
-                    | OpenPlaces::Interrupt
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
             )
             | Error::EventCreateError(
                 Create::IsBeingCreatedByAnotherInstance
@@ -292,18 +292,18 @@ const fn is_transient_event(error: &EventOpenOrCreateError) -> bool {
 
 const fn is_transient_query(error: &RequestResponseOpenOrCreateError) -> bool {
     use RequestResponseCreateError as Create;
-    use RequestResponseOpenError as OpenPlaces;
+    use RequestResponseOpenError as Open;
     use RequestResponseOpenOrCreateError as Error;
     matches!(
         error,
         Error::SystemInFlux
             | Error::RequestResponseOpenError(
-                OpenPlaces::HangsInCreation
-                    | OpenPlaces::IsMarkedForDestruction
-                    | OpenPlaces::DoesNotExist
-                    | OpenPlaces::ServiceInCorruptedState
-                    | OpenPlaces::ExceedsMaxNumberOfNodes
-                    | OpenPlaces::Interrupt
+                Open::HangsInCreation
+                    | Open::IsMarkedForDestruction
+                    | Open::DoesNotExist
+                    | Open::ServiceInCorruptedState
+                    | Open::ExceedsMaxNumberOfNodes
+                    | Open::Interrupt
             )
             | Error::RequestResponseCreateError(
                 Create::HangsInCreation
