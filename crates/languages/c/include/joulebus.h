@@ -360,7 +360,7 @@ typedef struct joulebus_platform_memory {
      * model's errors.
      */
     float start_excess;
-    /** Scatter of the levels of each robot, in that of the model. */
+    /** NaN: no longer remembered. */
     float scatter;
     /**
      * Median power of the robots, in that of their commands. 0 while fewer than eight are known.
