@@ -296,7 +296,7 @@ fn a_worker_and_a_talker_that_are_killed_are_found_again() {
     let other =
         json!({"voltage": 4.0, "current": -1.2, "percentage": 0.8, "power_supply_status": 2});
     talker.publish("/fleet/r1/battery_state", "BatteryState", &other);
-    listener.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4_800.0));
+    listener.wait_for("/r1/joulebus/reading_w", 0, |document| is_near(&document["data"], 4.8));
     let report = bridge.stop().json();
     assert!(unmapped(&report).is_empty(), "{report}");
     worker.stop();
