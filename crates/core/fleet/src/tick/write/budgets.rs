@@ -170,6 +170,8 @@ pub(crate) fn estimate(
 }
 
 /// Computes the robots of one platform.
+// The loops over lanes become vectors; iterators over three arrays do not.
+#[allow(clippy::needless_range_loop)]
 #[inline(always)]
 fn fill(
     budgets: &mut BudgetRows<'_>,
