@@ -54,6 +54,7 @@ pub struct RobotState {
 }
 
 /// A value of a [`RobotState`] by its name in other languages, where columns hold it for all robots.
+/// [`RobotState`] has an example.
 #[derive(Debug, Clone, Copy)]
 pub struct Column {
     /// Its name.

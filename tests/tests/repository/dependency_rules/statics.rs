@@ -14,6 +14,8 @@ const LISTED: &[(&str, &str)] = &[
     ("bus/src/os/fork.rs INSIDE", "an atomic, which a child sets to its own"),
     ("bus/src/os/fork.rs REGISTERED", "an atomic, with the process that it is of"),
     ("bus/src/os/process_id.rs KNOWN", "a fork section"),
+    ("c/src/abi/errors.rs ALARMS", "constant"),
+    ("c/src/abi/errors.rs INVALID_REASONS", "constant"),
     ("c/src/abi/predictor.rs OPEN", "a fork section"),
     ("c/src/handles.rs THREADS", "an atomic"),
     ("predictor/src/gelu.rs ERF", "constant"),

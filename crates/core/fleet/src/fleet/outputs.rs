@@ -4,6 +4,7 @@
 use joulebus_wire::{Channel, Forecast, ForecastHeader, Forecasts};
 
 use crate::fleet::Fleet;
+use crate::tick::outputs::secondary_outputs;
 
 /// A channel to which a tick sends a frame with a row for each robot.
 pub trait Output: Channel {
@@ -73,4 +74,4 @@ macro_rules! declare {
     };
 }
 
-crate::secondary_outputs!(declare);
+secondary_outputs!(declare);

@@ -43,6 +43,7 @@ macro_rules! secondary_outputs {
         }
     };
 }
+pub(crate) use secondary_outputs;
 
 /// Output of [`crate::Shard::run`]: slices of the shard's length, or empty ones for outputs that
 /// are left out.

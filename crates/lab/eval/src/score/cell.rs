@@ -43,7 +43,7 @@ pub struct Blocks {
     pub whole_trials: bool,
 }
 
-/// One forecaster. Undefined scores are NaN, null in JSON. Definitions: [`Tally`].
+/// One forecaster. Undefined scores are NaN, null in JSON. Definitions: [`Tallied`].
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ForecasterScore {
     /// Its name.
