@@ -311,15 +311,13 @@ impl CommandFit {
         }
         model.half_v_mps = half(runs, 0);
         model.half_omega_radps = half(runs, 1);
-        let mut blocks = blocks(runs, &model, period_s);
+        let blocks = blocks(runs, &model, period_s);
         let scales = scales(&blocks, rows);
-        let all = blocks.iter_mut().flat_map(|block| &mut block.rows);
-        all.for_each(|(terms, _)| terms.component_div_assign(&scales));
         let mut weights = Terms::zeros();
         weights[0] = mean_w;
         for _ in 0..8 {
-            weights = Normal::new(&blocks, &weights, mean_w).solve(weights);
-            let fitted: f64 = blocks.iter().map(|block| block.sum_w(&weights)).sum();
+            weights = Normal::new(&blocks, &weights, &scales, mean_w).solve(weights);
+            let fitted: f64 = blocks.iter().map(|block| block.sum_w(&weights, &scales)).sum();
             let scale = mean_w * rows as f64 / fitted;
             if !scale.is_finite() {
                 return Some(Self { model });
@@ -337,7 +335,7 @@ impl CommandFit {
             return self.model.weights[0].into();
         }
         let terms = Terms::from(self.model.terms(*motion).map(f64::from));
-        Terms::from(self.model.weights.map(f64::from)).dot(&terms)
+        dot(&Terms::from(self.model.weights.map(f64::from)), &terms)
     }
 }
 
@@ -357,8 +355,9 @@ struct Block {
 
 impl Block {
     /// Sum of the fitted powers, W.
-    fn sum_w(&self, weights: &Terms) -> f64 {
-        self.rows.iter().map(|(terms, _)| weights.dot(terms)).sum()
+    fn sum_w(&self, weights: &Terms, scales: &Terms) -> f64 {
+        let of = |terms: &Terms| weights.component_mul(terms).component_div(scales).sum();
+        self.rows.iter().map(|(terms, _)| of(terms)).sum()
     }
 }
 
@@ -371,6 +370,12 @@ fn blocks(runs: &[&Run], model: &CommandModel, period_s: f64) -> Vec<Block> {
         rows.chunks(length).map(|rows| Block { rows: rows.to_vec() }).collect::<Vec<_>>()
     };
     runs.iter().flat_map(of_run).collect()
+}
+
+/// The sum in the order of the terms. nalgebra's own depends on their number, and models that ship
+/// have the bits of this one.
+fn dot<const N: usize>(one: &SVector<f64, N>, other: &SVector<f64, N>) -> f64 {
+    one.component_mul(other).sum()
 }
 
 /// Root mean square of each term, 1 for one that is always 0: fits do not depend on units.
@@ -388,7 +393,7 @@ struct Normal {
 
 impl Normal {
     /// Scales each block by its level under the weights so far.
-    fn new(blocks: &[Block], weights: &Terms, mean_w: f64) -> Self {
+    fn new(blocks: &[Block], weights: &Terms, scales: &Terms, mean_w: f64) -> Self {
         /// Against terms that vary together, in shares of the mean square.
         const RIDGE: f64 = 1e-3;
         let (mut left, mut right) = (SMatrix::<f64, TERMS, TERMS>::zeros(), Terms::zeros());
@@ -396,11 +401,12 @@ impl Normal {
         for block in blocks {
             let count = block.rows.len() as f64;
             let read_w = block.rows.iter().map(|(_, power_w)| power_w).sum::<f64>() / count;
-            let predicted_w = block.sum_w(weights) / count;
+            let predicted_w = block.sum_w(weights, scales) / count;
             let level = ((read_w + 0.02 * mean_w) / (predicted_w + 0.02 * mean_w)).max(0.0);
             for (terms, power_w) in &block.rows {
-                left.ger(level * level, terms, terms, 1.0);
-                right.axpy(level * power_w, terms, 1.0);
+                let scaled = (terms * level).component_div(scales);
+                left.ger(1.0, &scaled, &scaled, 1.0);
+                right.axpy(*power_w, &scaled, 1.0);
             }
             (rows, squares) = (rows + count, squares + level * level * count);
         }
@@ -417,7 +423,8 @@ impl Normal {
             for term in 0..TERMS {
                 let own = self.left[(term, term)];
                 if own > 1e-12 {
-                    let excess = self.left.column(term).dot(&weights) - self.right[term];
+                    let excess =
+                        self.left.column(term).component_mul(&weights).sum() - self.right[term];
                     weights[term] = (weights[term] - excess / own).max(0.0);
                 }
             }
@@ -527,7 +534,7 @@ impl Origins {
         for round in 0..ROUNDS {
             let (mut loss, mut slope) = (0.0, Levels::zeros());
             for (origin, experts) in self.origins.iter().zip(&experts) {
-                let error_j = weights.dot(experts) - origin.energy_j;
+                let error_j = dot(&weights, experts) - origin.energy_j;
                 loss += error_j.abs();
                 slope += experts.add_scalar(-origin.energy_j) * error_j.signum();
             }
@@ -584,7 +591,7 @@ impl Crossed {
             found.recordings.extend(&scored.recordings);
             found.duration_s = scored.duration_s;
             found.pairs.extend(scored.origins.iter().map(|origin| Pair {
-                forecast: weights.dot(&scored.experts(origin, with)),
+                forecast: dot(&weights, &scored.experts(origin, with)),
                 measured: origin.energy_j,
             }));
         }
