@@ -43,7 +43,8 @@ pub struct Blocks {
     pub whole_trials: bool,
 }
 
-/// One forecaster. Undefined scores are NaN, null in JSON. Definitions: [`Tallied`].
+/// One forecaster. Undefined scores are NaN, null in JSON. Definitions:
+/// [`Tally`](joulebus_statistics::metrics::Tally).
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ForecasterScore {
     /// Its name.
