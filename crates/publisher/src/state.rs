@@ -66,6 +66,7 @@ pub struct Column {
 }
 
 /// Sets a value of a robot's state.
+/// [`RobotState`] has an example.
 #[derive(Debug, Clone, Copy)]
 pub enum SetColumn {
     /// A number, or `None` if it is unknown.
