@@ -61,8 +61,14 @@ fn turn(fleet: &mut Fleet, source: &mut Source, tick: u64) -> Vec<Message> {
         samples_dropped: fleet.drops(),
         ..ForecastHeader::default()
     };
-    let diagnostics =
-        DiagnosticHeader { schema, worker_epoch, tick, ..DiagnosticHeader::default() };
+    let diagnostics = DiagnosticHeader {
+        schema,
+        worker_epoch,
+        tick,
+        refused: fleet.refusals(),
+        platforms: fleet.platform_memories(),
+        ..DiagnosticHeader::default()
+    };
     let budgets = BudgetHeader { schema, worker_epoch, tick, ..BudgetHeader::default() };
     let journal =
         TickHeader { schema, worker_epoch, tick, start_ns: now_ns + MS, ..TickHeader::default() };
