@@ -1,5 +1,6 @@
 //! Assigns recorded trials to robots.
 
+use std::collections::HashSet;
 use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
@@ -145,7 +146,7 @@ fn apart(
         let is_free = |id: &u32| place_of(settings, *id).is_some() && !ids.taken.contains(id);
         let id = match (own.filter(|id| named && is_free(id)), first.take()) {
             (Some(id), _) => {
-                ids.taken.push(id);
+                ids.taken.insert(id);
                 Some(id)
             }
             (None, Some(first)) => Some(first),
@@ -230,7 +231,7 @@ pub(crate) fn recordings(directory: &Path) -> anyhow::Result<Vec<PathBuf>> {
 
 #[derive(Default)]
 struct Ids {
-    taken: Vec<u32>,
+    taken: HashSet<u32>,
 }
 
 impl Ids {
