@@ -44,9 +44,13 @@ pub(crate) fn verbs() -> &'static [Verb] {
 /// The help of a verb of another program, if `joulebus help` asks for it: that program shows it.
 pub(crate) fn help(joulebus: &clap::Command) -> Option<anyhow::Result<Outcome>> {
     let is_verb = |word: &OsString| word == "help" || joulebus.find_subcommand(word).is_some();
-    let mut words = env::args_os().skip(1).skip_while(|word| !is_verb(word));
-    words.next().filter(|word| word == "help")?;
+    let words = env::args_os().skip(1).skip_while(|word| !is_verb(word));
     let mut words: Vec<OsString> = words.collect();
+    // `help config init`, and `config help init`.
+    let has_below = |word: &OsString| BELOW.iter().any(|[first, _]| word == first);
+    let at = usize::from(words.first().is_some_and(has_below));
+    words.get(at).filter(|word| *word == "help")?;
+    words.remove(at);
     let is = |at: usize, name: &str| words.get(at).is_some_and(|word: &OsString| word == name);
     let of_lab = OF_LAB.iter().any(|name| is(0, name))
         || BELOW.iter().any(|[first, second]| is(0, first) && is(1, second));

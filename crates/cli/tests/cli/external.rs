@@ -127,6 +127,7 @@ fn a_program_shows_the_help_of_its_verbs_and_what_is_this_ones_needs_none() {
         ("-v help link init", "link", "init --help"),
         ("--format json help config init", "lab", "config init --help"),
         ("help train trials", "lab", "train trials --help"),
+        ("publish help trial", "lab", "publish trial --help"),
         ("mission --help", "lab", "mission --help"),
     ] {
         let program = installed.0.path().join(format!("joulebus-{program}"));
