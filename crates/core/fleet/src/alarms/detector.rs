@@ -81,11 +81,7 @@ block! {
 }
 
 /// No state has it but in columns.
-impl Narrow for Agreeing {
-    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        Self::deserialize(from)
-    }
-}
+impl Narrow for Agreeing {}
 
 impl Narrow for Lanes<Agreeing> {
     fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {

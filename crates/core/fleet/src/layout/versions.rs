@@ -3,6 +3,7 @@
 
 use std::cell::Cell;
 
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Deserializer};
 
 use crate::layout::lanes::Lanes;
@@ -41,16 +42,16 @@ where
 }
 
 /// A number of a robot, or a column of them, that is stored in half as many bytes since 0x13.
-pub(crate) trait Narrow: Sized {
-    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error>;
-}
-
-/// A departed robot's: it is not in a column.
-impl Narrow for f64 {
+///
+/// Outside of columns it is stored as it was.
+pub(crate) trait Narrow: DeserializeOwned {
     fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
         Self::deserialize(from)
     }
 }
+
+/// A departed robot's.
+impl Narrow for f64 {}
 
 impl Narrow for Lanes<f32> {
     fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
@@ -59,11 +60,7 @@ impl Narrow for Lanes<f32> {
 }
 
 /// A detector's, which is in no state by itself.
-impl Narrow for u32 {
-    fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
-        Self::deserialize(from)
-    }
-}
+impl Narrow for u32 {}
 
 impl Narrow for Lanes<u16> {
     fn read<'de, D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
