@@ -27,14 +27,15 @@ pub fn eventually(what: &str, mut condition: impl FnMut() -> bool) {
 /// it.
 pub fn left_behind(prefix: &str, root: &Path) -> Vec<PathBuf> {
     let draft = format!(".{}.", root.file_name().unwrap_or_default().display());
-    let shared = std::fs::read_dir("/dev/shm").into_iter().flatten().flatten();
-    let objects = shared.filter(|entry| {
-        let name = entry.file_name();
-        let name = name.to_string_lossy();
-        name.starts_with(prefix) || name.starts_with(&draft)
-    });
-    let root = root.exists().then(|| root.to_owned());
-    objects.map(|entry| entry.path()).chain(root).collect()
+    let beginning = |begin: &str, folder: &Path| -> Vec<PathBuf> {
+        let all = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let named = all.filter(|entry| entry.file_name().to_string_lossy().starts_with(begin));
+        named.map(|entry| entry.path()).collect()
+    };
+    let mut left = beginning(prefix, Path::new("/dev/shm"));
+    left.extend(root.parent().into_iter().flat_map(|folder| beginning(&draft, folder)));
+    left.extend(root.exists().then(|| root.to_owned()));
+    left
 }
 
 /// Removes a file or a folder, as others may do at the same time. They may also create files in the

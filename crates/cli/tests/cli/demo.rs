@@ -4,6 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::RwLockReadGuard;
 use std::time::Duration;
 
 use joulebus_bus::Domain;
@@ -14,13 +15,14 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-struct Run(Child);
+struct Run(Child, Option<RwLockReadGuard<'static, ()>>);
 
 impl Run {
     fn start(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_joulebus"));
         command.args(arguments);
-        Self(Child::spawn(arguments[0], command))
+        let seen = (arguments[0] == "demo").then(crate::fleet::seen);
+        Self(Child::spawn(arguments[0], command), seen)
     }
 
     fn demo(arguments: &[&str]) -> Self {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, at, code, is_built, joulebus, output, stderr, stdout};
+use crate::fleet::{Fleet, at, code, is_built, joulebus, output, sees_all, stderr, stdout};
 
 /// Arguments of a subcommand, and the exit code. Words in capitals are files: see [`file`].
 pub(crate) const CASES: &[(i32, &str)] = &[
@@ -200,6 +200,7 @@ fn every_subcommand_ends_with_the_code_that_its_help_states() {
     for (place, (expected, words)) in cases.filter(|(_, (_, words))| is_built(words)) {
         let new = fleet.path(&format!("new-{place}"));
         let arguments = words.split(' ').map(|word| file(&fleet, word, &new));
+        let _alone = words.starts_with("status").then(sees_all);
         let ended = joulebus(arguments).output().unwrap();
         let printed = stderr(&ended);
         let fails = matches!(expected, 1 | 2);

@@ -4,7 +4,9 @@ use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
-use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard, TryLockError};
+use std::thread;
+use std::time::Duration;
 
 use joulebus_config::Config;
 use joulebus_testkit::{Child, PATIENCE, lab_beside, left_behind};
@@ -80,17 +82,39 @@ pub(crate) fn is_built(row: &str) -> bool {
     is_there
 }
 
+/// Held by demonstrations, whose roots are where programs look for fleets: `joulebus status` joins
+/// those, and until it leaves their files stay.
+static SEEN: RwLock<()> = RwLock::new(());
+
+/// While it lives, no test runs `joulebus status`.
+pub(crate) fn seen() -> RwLockReadGuard<'static, ()> {
+    SEEN.read().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// While it lives, no test runs a demonstration. Never before those that wait for one that runs.
+pub(crate) fn sees_all() -> RwLockWriteGuard<'static, ()> {
+    loop {
+        match SEEN.try_write() {
+            Ok(alone) => return alone,
+            Err(TryLockError::Poisoned(alone)) => return alone.into_inner(),
+            Err(TryLockError::WouldBlock) => thread::sleep(Duration::from_millis(20)),
+        }
+    }
+}
+
 pub(crate) struct Fleet {
     directory: tempfile::TempDir,
+    /// Folder of the root.
+    _shared: tempfile::TempDir,
     root: PathBuf,
     prefix: String,
 }
 
 impl Fleet {
     pub(crate) fn new() -> Self {
-        static NUMBER: AtomicU32 = AtomicU32::new(0);
-        let number = NUMBER.fetch_add(1, Ordering::Relaxed);
-        let root = PathBuf::from(format!("/dev/shm/jbcli-{}-{number}", std::process::id()));
+        // Not where `joulebus status` of another test looks for fleets, see `SEEN`.
+        let shared = tempfile::Builder::new().prefix("jbcli-").tempdir_in("/dev/shm").unwrap();
+        let root = shared.path().join("root");
         let directory = tempfile::tempdir().unwrap();
         let text = format!(
             "[fleet]\nname = \"cli\"\ncapacity = 20\n\
@@ -104,7 +128,7 @@ impl Fleet {
         fs::write(directory.path().join("fleet.toml"), text).unwrap();
         let config = Config::load(directory.path().join("fleet.toml")).unwrap();
         let prefix = config.domain().unwrap().shm_prefix().to_owned();
-        Self { directory, root, prefix }
+        Self { directory, _shared: shared, root, prefix }
     }
 
     /// The same with another name.

@@ -10,7 +10,7 @@ use joulebus_testkit::{Child, assert_contains};
 use rustix::process::{Signal, geteuid};
 
 use crate::captures::capture;
-use crate::fleet::{Fleet, Program, at, is_built, joulebus, stderr, stdout};
+use crate::fleet::{Fleet, Program, at, is_built, joulebus, sees_all, stderr, stdout};
 
 /// Uid of `nobody`.
 const OTHER: u32 = 65_534;
@@ -131,7 +131,9 @@ fn every_verb_that_looks_for_a_worker_names_the_user_who_runs_one() {
         &[&root, &uid, &pid, "su -s /bin/sh nobody -c", "`joulebus serve --socket"],
     );
     let own = at(&format!("joulebus-{}", geteuid().as_raw()));
+    let alone = sees_all();
     let status = command(&Fleet::new(), &own, "status").output().unwrap();
+    drop(alone);
     assert_contains(&stdout(&status), [root.as_str(), &uid, &pid, "su -s /bin/sh nobody"]);
     // The remedies: as that user, or by a socket for a group, which nobody else may enter.
     let verb = format!("{} status --config {}", at("joulebus").display(), config.display());
