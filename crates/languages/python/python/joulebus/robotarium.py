@@ -27,6 +27,11 @@ except ImportError as error:
         f"EnergyRobotarium is made of the Robotarium's simulator rps 2.1, which cannot be imported ({error}): install "
         "github.com/robotarium/robotarium_python_simulator, and numpy, matplotlib and cvxopt for it"
     ) from error
+if not hasattr(_rps.Robotarium, "TIME_STEP"):
+    raise ImportError(
+        f"the Robotarium's simulator in {os.path.dirname(_rps.__file__)} is earlier than rps 2.1.0, whose names "
+        "EnergyRobotarium uses: install github.com/robotarium/robotarium_python_simulator as of April 2026 or later"
+    )
 
 
 class EnergyRobotarium(_rps.Robotarium):
