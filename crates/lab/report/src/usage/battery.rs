@@ -40,20 +40,21 @@ fn sums(runs: &[Run]) -> Sums {
     Sums::of(runs.iter().flat_map(|run| &run.steps))
 }
 
-/// Mean powers of the runs, or of the tenths of a single one, W.
+/// Known mean powers of the runs, or of the tenths of a single one, W.
 fn stretches_w(runs: &[Run]) -> (Vec<f64>, &'static str) {
     let long = |steps: &[Step]| {
         let is_enough = steps.len() >= MIN_STEPS;
         if is_enough { Sums::of(steps).mean_w() } else { f64::NAN }
     };
-    let powers_w: Vec<f64> = runs.iter().map(|run| long(&run.steps)).collect();
-    if powers_w.iter().filter(|power_w| power_w.is_finite()).count() != 1 {
+    let known = |power_w: &f64| power_w.is_finite();
+    let powers_w: Vec<f64> = runs.iter().map(|run| long(&run.steps)).filter(known).collect();
+    if powers_w.len() != 1 {
         return (powers_w, "run");
     }
     let longest = runs.iter().max_by_key(|run| run.steps.len());
     let steps = longest.map_or(&[] as &[Step], |run| &run.steps);
     let parts = steps.chunks(steps.len().div_ceil(PARTS).max(1));
-    (parts.map(long).collect(), "tenth of the run")
+    (parts.map(long).filter(known).collect(), "tenth of the run")
 }
 
 /// One sentence or a few.
@@ -114,6 +115,11 @@ pub(super) fn table(battery: Battery, runs: &[Run]) -> Table {
     let sums = sums(runs);
     let (stretches_w, of) = stretches_w(runs);
     let [least_w, greatest_w] = range(&stretches_w);
+    // From many runs on, these are ends of a range and no longer runs.
+    let [hungriest, thriftiest] = match stretches_w.len() {
+        ..MANY_RUNS => ["hungriest", "thriftiest"].map(|which| format!("the {which} {of}")),
+        _ => ["upper", "lower"].map(|end| format!("the {end} end of 90 % of the runs")),
+    };
     let wh_per_m = sums.wh_per_m();
     let row = |what: String, power_w: f64, distance_m: f64| {
         let hours = battery.hours(power_w);
@@ -121,14 +127,13 @@ pub(super) fn table(battery: Battery, runs: &[Run]) -> Table {
     };
     let rows = vec![
         row("all together".to_owned(), sums.mean_w(), battery.usable_wh() / wh_per_m),
-        row(format!("the hungriest {of}"), greatest_w, f64::NAN),
-        row(format!("the thriftiest {of}"), least_w, f64::NAN),
+        row(hungriest, greatest_w, f64::NAN),
+        row(thriftiest, least_w, f64::NAN),
     ];
     Table {
         id: "table-battery".to_owned(),
         caption: format!(
-            "How long {} Wh last, the usable part of the battery. A dash: not known. From \
-             {MANY_RUNS} runs on, the ends are those of the middle 90 %.",
+            "How long {} Wh last, the usable part of the battery. A dash: not known.",
             significant(battery.usable_wh()).shown()
         ),
         columns: vec![

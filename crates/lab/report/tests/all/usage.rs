@@ -212,6 +212,11 @@ fn the_range_of_a_battery_is_that_of_the_runs_or_of_the_tenths_of_a_single_one()
     assert!((hours(&found[1]) - 2.0).abs() < 0.01, "{found:?}");
     assert!((hours(&found[2]) - 8.0).abs() < 0.01, "{found:?}");
     assert!(hours(&found[1]) < hours(&found[0]) && hours(&found[0]) < hours(&found[2]));
+    assert_eq!(found[1]["at"], "the hungriest run");
+    // Of many runs, the ends of a range are no longer runs.
+    let many: Vec<_> = (10..30).map(|power_w| at(f64::from(power_w))).collect();
+    let found = rows(&report(&many, None, Some(80.0)), "table-battery");
+    assert_eq!(found[1]["at"], "the upper end of 90 % of the runs");
     let one = run(1000, |at| (if at < 500 { 10.0 } else { 20.0 } + (at % 2) as f64 * 0.01, 0.5));
     let found = rows(&report(&[one], None, Some(80.0)), "table-battery");
     assert!((hours(&found[1]) - 4.0).abs() < 0.1, "{found:?}");
