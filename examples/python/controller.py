@@ -29,10 +29,13 @@ def main(config: str = "configs/fleet.toml", ticks: str = "") -> None:
                 power_w = 2.8 + 9.0 * speed_mps(tick - tick % 3)
                 # These come full from their chargers. State what yours know: `soc` if they measure it,
                 # `charging` and `full`, `swapped` after an exchange, `off` in the last frame of a robot.
-                publisher.publish(
-                    ROBOTS, v=speed_mps(tick), omega=0.0, power=power_w, held=tick % 3 != 0, full=tick == 0,
-                    intended_ns=due_ns,
-                )
+                try:
+                    publisher.publish(
+                        ROBOTS, v=speed_mps(tick), omega=0.0, power=power_w, held=tick % 3 != 0, full=tick == 0,
+                        intended_ns=due_ns,
+                    )
+                except joulebus.PublishError as error:      # this frame is lost, the next one is due soon
+                    print(error, file=sys.stderr)
                 due_ns += PERIOD_NS
                 time.sleep(max(0, due_ns - time.monotonic_ns()) / 1e9)
         except KeyboardInterrupt:

@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::Duration;
 
-use joulebus_publisher::{Charger, Pace, Publisher, RobotState};
+use joulebus_publisher::{Charger, Pace, PublishError, Publisher, RobotState};
 
 fn main() -> anyhow::Result<()> {
     let mut arguments = std::env::args().skip(1);
@@ -40,7 +40,13 @@ pub(crate) fn run(config: &Path, ticks: u32) -> anyhow::Result<u64> {
                 _ => state.held_reading(power_w),
             }
         });
-        publisher.publish_intended(slot.intended_ns, robots)?;
+        match publisher.publish_intended(slot.intended_ns, robots) {
+            Ok(_) => {}
+            // The files of this process were removed: it must join again.
+            Err(PublishError::Send(error)) if error.is_final() => return Err(error.into()),
+            // This frame is lost. The next one is due soon.
+            Err(error) => eprintln!("{error}"),
+        }
     }
     Ok(publisher.samples_sent())
 }

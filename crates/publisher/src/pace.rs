@@ -71,12 +71,14 @@ impl Grid {
 /// A [`Grid`] on the monotonic clock.
 ///
 /// ```no_run
-/// # use joulebus_publisher::{Pace, Publisher, PublishError, RobotState};
-/// # fn example(publisher: &mut Publisher, fleet: &[RobotState]) -> Result<(), PublishError> {
+/// # use joulebus_publisher::{Pace, Publisher, RobotState};
+/// # fn example(publisher: &mut Publisher, fleet: &[RobotState]) {
 /// let mut pace = Pace::every(std::time::Duration::from_nanos(33_333_333));
 /// loop {
 ///     let slot = pace.wait();
-///     publisher.publish_intended(slot.intended_ns, fleet.iter().copied())?;
+///     if let Err(error) = publisher.publish_intended(slot.intended_ns, fleet.iter().copied()) {
+///         eprintln!("{error}");
+///     }
 /// }
 /// # }
 /// ```

@@ -302,6 +302,8 @@ impl fmt::Debug for Publisher {
 /// match publisher.publish(fleet.iter().copied()) {
 ///     Ok(_) => {}
 ///     Err(PublishError::DuplicateRobot { robot }) => panic!("{robot} is in the fleet twice"),
+///     // Every further frame would fail: join again.
+///     Err(PublishError::Send(error)) if error.is_final() => panic!("{error}"),
 ///     // It names the remedy. The publisher remains usable.
 ///     Err(error) => eprintln!("{error}"),
 /// }
