@@ -7,7 +7,7 @@
 //! valued once.
 
 use joulebus_energy::{Capacity, EnergyLeft};
-use joulebus_settings::{Battery, ChargeReading, Platform};
+use joulebus_settings::{Battery, Platform};
 use joulebus_wire::{
     Alarm, AlarmSet, Budget, CHARGE_TENTHS, Sample, Statement, budget_flag, sample_flag,
 };
@@ -241,7 +241,7 @@ impl BatteryState {
         let unmetered_s = self.unmetered_s(at);
         let stored = |seconds: f64| (counting.charge_w * seconds * share).min(1.0);
         let used = |watts: f64| watts * unmetered_s * share;
-        let blind = charging.metered & matches!(counting.reading, ChargeReading::Load);
+        let blind = charging.metered & counting.reads_load;
         let counted = counted(counting, drawn, charging.metered);
         let (lo, hi) = (
             if blind { -drawn.max(0.0) } else { counted },
@@ -327,7 +327,7 @@ impl BatteryState {
         charging: Charging,
     ) {
         let now = self.after(counting, at, gap, charging);
-        let blind = charging.metered & matches!(counting.reading, ChargeReading::Load);
+        let blind = charging.metered & counting.reads_load;
         let counted = counted(counting, self.drawn(counting, at), charging.metered);
         let in_gap = gap.mean_w * self.unmetered_s(at) * counting.per_joule;
         self.counted += if blind { 0.0 } else { counted };

@@ -15,7 +15,9 @@ pub(crate) struct Counting {
     pub least_w: f64,
     pub most_w: f64,
     pub period_ns: u64,
-    pub reading: ChargeReading,
+    /// [`ChargeReading`] in flags: a `match` on it keeps a loop over lanes from becoming vectors.
+    pub reads_load: bool,
+    pub reads_charger: bool,
     pub efficiency: f64,
     pub charge_w: f64,
 }
@@ -29,7 +31,8 @@ impl Counting {
             least_w: platform.power_min_w.into(),
             most_w: f64::from(platform.power_max_w).max(0.0),
             period_ns: platform.period_ns,
-            reading: battery.charge_reading,
+            reads_load: matches!(battery.charge_reading, ChargeReading::Load),
+            reads_charger: matches!(battery.charge_reading, ChargeReading::Charger),
             efficiency: battery.charge_efficiency,
             charge_w: battery.charge_power_w.unwrap_or(ANY_W),
         }
@@ -47,8 +50,8 @@ impl Counting {
     /// it does not meter the charge.
     #[inline(always)]
     pub(crate) fn stored(&self, amount: f64) -> Option<f64> {
-        let is_metered = !matches!(self.reading, ChargeReading::Load);
-        is_metered.then(|| counted(self, amount, true))
+        let stored = counted(self, amount, true);
+        (!self.reads_load).then_some(stored)
     }
 }
 
@@ -96,10 +99,7 @@ impl Size {
 /// Change of the state of charge by a drawn share, negative if the power flowed the other way.
 #[inline(always)]
 pub(crate) fn counted(counting: &Counting, drawn: f64, charging: bool) -> f64 {
-    let stored = match counting.reading {
-        ChargeReading::Battery | ChargeReading::Load => -drawn,
-        ChargeReading::Charger => drawn,
-    };
+    let stored = if counting.reads_charger { drawn } else { -drawn };
     let part = if stored > 0.0 { counting.efficiency } else { 1.0 };
     if charging { part * stored } else { -drawn }
 }

@@ -21,6 +21,7 @@ use crate::ledger::counting::{Counting, Size};
 use crate::ledger::energy::LedgerLanes;
 use crate::ledger::levels;
 use crate::ledger::measured::BatterySample;
+use crate::ledger::remaining::{Left, LeftLanes};
 use crate::state::columns::ColumnsMut;
 use crate::tick::context::TickContext;
 use crate::tick::platform_context::PlatformContext;
@@ -278,15 +279,24 @@ fn follow(
         let rests = mask[lane] & absorbed.rests[lane];
         batteries.rest(lane, rests, reading_w, platform.period_ns as f32 * 1e-9);
     }
-    let counting = Counting::new(battery, platform);
+    let (counting, battery) = (Counting::new(battery, platform), *battery);
+    // A loop for each result, in memory of its own: the compiler knows that none changes what is
+    // read.
+    let (mut left, mut raised) = (LeftLanes::UNKNOWN, [0; LANES]);
     for lane in 0..LANES {
         let (robot, at) = (batteries.get(lane), At::new(&ledgers.get(lane)));
         // On a charger the anchor is at the last sample with a reading.
         let charging = Charging { metered: false, unmetered: robot.charging };
-        let now = robot.now(&counting, at, charging);
-        let size = Size::new(battery, robot.size());
-        let raised = levels::judge(robot.raised, (battery, &size), &now, robot.return_j);
-        lanes::put(&mut batteries.raised[lane], mask[lane], raised);
+        left.set(lane, true, Left::from(robot.now(&counting, at, charging)));
+    }
+    for lane in 0..LANES {
+        let robot = batteries.get(lane);
+        let size = Size::new(&battery, robot.size());
+        let now = left.get(lane).into();
+        raised[lane] = levels::judge(robot.raised, (&battery, &size), &now, robot.return_j);
+    }
+    for lane in 0..LANES {
+        lanes::put(&mut batteries.raised[lane], mask[lane], raised[lane]);
     }
 }
 

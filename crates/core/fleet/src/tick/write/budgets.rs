@@ -200,24 +200,32 @@ fn fill(
         let at = At::new(&block.ledgers.get(lane)).silent_for(overdue_ns[lane]);
         (pauses[0][lane], pauses[1][lane]) = robot.paused(&counting, at);
     }
-    for lane in 0..LANES {
+    let of_robot = |lane: usize| {
         let robot = batteries.get(lane);
-        let (size, estimate) = (Size::new(&battery, robot.size()), left.get(lane).into());
-        let of = (&battery, &size);
-        let of_robot = match &context.lasting {
-            Some(lasting) => {
+        (Size::new(&battery, robot.size()), left.get(lane).into(), robot.charging)
+    };
+    match &context.lasting {
+        Some(lasting) => {
+            for lane in 0..LANES {
+                let (size, estimate, charging) = of_robot(lane);
                 let longest = block.energy.longest_level(lane);
                 let power = lasting.of(longest, context.errors.platform());
                 let range_w = |seconds| power.range_w(seconds);
-                Remaining::new(of, &estimate, power.mean_w, range_w, robot.charging)
+                let left = (&battery, &size);
+                let robot = Remaining::new(left, &estimate, power.mean_w, range_w, charging);
+                remaining.set(lane, true, robot);
             }
-            // What is known of the next reading, in place of hours.
-            None => {
+        }
+        // What is known of the next reading, in place of hours.
+        None => {
+            for lane in 0..LANES {
+                let (size, estimate, charging) = of_robot(lane);
                 let (lo_w, hi_w) = block.intervals.get(lane).around(mean_w[lane], 0, true);
-                Remaining::new(of, &estimate, mean_w[lane], |_| [lo_w, hi_w], robot.charging)
+                let (left, range_w) = ((&battery, &size), |_| [lo_w, hi_w]);
+                let robot = Remaining::new(left, &estimate, mean_w[lane], range_w, charging);
+                remaining.set(lane, true, robot);
             }
-        };
-        remaining.set(lane, true, of_robot);
+        }
     }
     for lane in 0..LANES {
         budgets.remaining.set(lane, mask[lane], remaining.get(lane));
