@@ -23,7 +23,8 @@ create_exception!(
     joulebus,
     ConnectError,
     Error,
-    "A config is refused, a fleet cannot be joined, or a service not be opened."
+    "A config is refused, a fleet cannot be joined, or a service not be opened. While publishing: \
+     files of this process were removed, so it must connect again."
 );
 create_exception!(
     joulebus,
@@ -31,7 +32,7 @@ create_exception!(
     Error,
     "Frames could not be read. The next call may succeed."
 );
-create_exception!(joulebus, PublishError, Error, "A frame was refused, and not sent.");
+create_exception!(joulebus, PublishError, Error, "A frame was not sent. The next may be.");
 
 create_exception!(joulebus, RecordingError, Error, "A capture or a trial is refused.");
 

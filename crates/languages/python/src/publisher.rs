@@ -7,13 +7,15 @@ use std::sync::Mutex;
 
 use joulebus_publisher::columns::{COLUMNS, SetColumn};
 use joulebus_publisher::plausibility::{Kind, Source};
-use joulebus_publisher::{Config, Judgement, Publisher as Port, Refused, RobotState, clock};
+use joulebus_publisher::{
+    Config, Judgement, PublishError as Refusal, Publisher as Port, Refused, RobotState, clock,
+};
 use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyFloat};
 
 use crate::array::{Ids, Numbers, shape_error};
-use crate::error::PublishError;
+use crate::error::{ConnectError, PublishError};
 use crate::port_thread::PortThread;
 
 /// Frames sent, samples sent, capacity, connections that failed.
@@ -64,8 +66,7 @@ impl PublisherPort {
         let send = move |port: &mut Option<Port>| {
             let port = port.as_mut().ok_or_else(closed)?;
             let intended_ns = intended_ns.unwrap_or_else(clock::monotonic_ns);
-            port.publish_intended(intended_ns, robots)
-                .map_err(|error| PublishError::new_err(error.to_string()))
+            port.publish_intended(intended_ns, robots).map_err(of_publish)
         };
         let sent = py.detach(|| self.thread.ask(send))??;
         if let Some(error) = &sent.not_woken {
@@ -211,4 +212,12 @@ fn truths(name: &str, given: &Bound<'_, PyAny>) -> PyResult<(Vec<bool>, Vec<usiz
     let shape: Vec<usize> = array.getattr("shape")?.extract()?;
     let values = array.call_method0("ravel")?.call_method0("tolist")?.extract()?;
     Ok((values, shape))
+}
+
+/// Further frames may pass, unless the process has to connect again.
+fn of_publish(error: Refusal) -> PyErr {
+    match &error {
+        Refusal::Send(reason) if reason.is_final() => ConnectError::new_err(error.to_string()),
+        _ => PublishError::new_err(error.to_string()),
+    }
 }

@@ -3,6 +3,7 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -362,6 +363,20 @@ def test_wrong_frames_are_refused_with_the_remedy_and_not_sent(fleet):
         publisher.publish(np.array([3], np.uint64))
     with pytest.raises(RuntimeError, match="publisher is closed"):
         publisher.publish([1])
+
+
+def test_a_publisher_whose_files_were_removed_says_that_it_has_to_connect_again(fleet):
+    with joulebus.Publisher(fleet.config) as publisher:
+        publisher.publish([1], power=3.5)
+        shutil.rmtree(fleet.root)
+
+        def refusal():
+            try:
+                publisher.publish([1], power=3.5)
+            except joulebus.ConnectError as error:
+                return str(error)
+
+        assert "start it again" in until("a refusal", refusal, fleet)
 
 
 def test_a_sample_that_the_worker_refuses_is_warned_of_at_once_and_once(fleet):

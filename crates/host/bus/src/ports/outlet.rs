@@ -189,7 +189,7 @@ pub enum SendError {
     #[error("no memory for a frame: {reason}")]
     Loan { reason: String },
     /// The frame could not be delivered to any reader.
-    #[error("cannot send a frame: {reason}. Join again")]
+    #[error("cannot send a frame: {reason}. The next may pass. If none does, join again")]
     Send { reason: String },
 }
 
