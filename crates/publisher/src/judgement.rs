@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Rows, Source};
+use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Origin, Quantity, Rows};
 use serde::Serialize;
 
 use crate::{Charger, RobotState};
@@ -37,10 +37,10 @@ pub struct Implausible {
 /// [`Judgement::take_news`]. It keeps some 22 kB of each robot.
 ///
 /// ```
-/// use joulebus_publisher::plausibility::Source;
+/// use joulebus_publisher::plausibility::Origin;
 /// use joulebus_publisher::{Judgement, RobotState};
 ///
-/// let mut judgement = Judgement::new(Source::Program, Vec::new());
+/// let mut judgement = Judgement::new(Origin::Program, Vec::new());
 /// for step in 0..200 {
 ///     // The battery's monitor counts to 100, not to 1.
 ///     let state = RobotState::new(7).reading(40.0 + (step as f32 * 0.7).sin());
@@ -51,7 +51,7 @@ pub struct Implausible {
 /// ```
 #[derive(Debug, Clone)]
 pub struct Judgement {
-    source: Source,
+    origin: Origin,
     /// What the source's mapping calls quantities, with their units.
     names: Vec<(Quantity, String)>,
     /// Findings that are not reported.
@@ -127,9 +127,9 @@ impl ThinnedReadings {
 impl Judgement {
     /// In the words of a source, without findings of the accepted kinds.
     #[must_use]
-    pub const fn new(source: Source, accepted: Vec<Kind>) -> Self {
+    pub const fn new(origin: Origin, accepted: Vec<Kind>) -> Self {
         Self {
-            source,
+            origin,
             names: Vec::new(),
             accepted,
             robots: BTreeMap::new(),
@@ -207,7 +207,7 @@ impl Judgement {
                 let kept = &robot.kept;
                 let rows = Rows::new(kept.observations(), Known::default(), kept.is_product());
                 let edits = rows.working(finding, &all, name);
-                let remedy = finding.remedy_by(self.source, name(finding).as_deref(), &edits);
+                let remedy = finding.remedy_by(self.origin, name(finding).as_deref(), &edits);
                 let sentences = finding.sentences(&remedy);
                 self.news.push(format!("robot {id}: {}: {sentences}", finding.kind));
                 remedy
@@ -251,7 +251,7 @@ mod tests {
 
     fn judged(change: impl Fn(u64, &mut RobotState), readings: u64) -> (Judgement, Vec<String>) {
         let names = vec![(Quantity::Power, "power_W".to_owned())];
-        let mut judgement = Judgement::new(Source::Bridge, Vec::new()).named(names);
+        let mut judgement = Judgement::new(Origin::Bridge, Vec::new()).named(names);
         for step in 0..readings {
             let mut state = RobotState::new(7);
             let wave = (step as f32 * 0.7).sin();
@@ -283,7 +283,7 @@ mod tests {
 
     #[test]
     fn robots_of_one_frame_are_judged_in_different_ones() {
-        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
+        let mut judgement = Judgement::new(Origin::Bridge, Vec::new());
         let mut first_reported = BTreeMap::new();
         for step in 0..400 {
             for robot in 0..4 {
@@ -301,7 +301,7 @@ mod tests {
 
     #[test]
     fn of_more_robots_than_are_judged_at_a_time_each_has_its_turn() {
-        let mut judgement = Judgement::new(Source::Program, Vec::new()).of_at_most(2);
+        let mut judgement = Judgement::new(Origin::Program, Vec::new()).of_at_most(2);
         let mut found = BTreeSet::new();
         for step in 0..30_000_u64 {
             for robot in 0..5 {

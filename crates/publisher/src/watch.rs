@@ -9,7 +9,7 @@ use std::{io, mem, process, thread};
 use joulebus_config::Config;
 use joulebus_connect::findings::FindingsFile;
 use joulebus_connect::refusals::Refusals;
-use joulebus_plausibility::{Kind, Source};
+use joulebus_plausibility::{Kind, Origin};
 
 use crate::not_taken::NotTaken;
 use crate::{Charger, Judgement, RobotState};
@@ -132,7 +132,7 @@ fn judge(
     refused: impl Fn() -> Option<NotTaken>,
 ) {
     // A simulated robot may never change its reading.
-    let judgement = Judgement::new(Source::Program, vec![Kind::Constant]);
+    let judgement = Judgement::new(Origin::Program, vec![Kind::Constant]);
     let mut judgement = judgement.of_at_most(MAX_JUDGED);
     let mut written = Instant::now();
     let mut told = Vec::new();

@@ -15,7 +15,11 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 
-struct Run(Child, Option<RwLockReadGuard<'static, ()>>);
+struct Run(
+    Child,
+    #[expect(dead_code, reason = "held while the demonstration lives")]
+    Option<RwLockReadGuard<'static, ()>>,
+);
 
 impl Run {
     fn start(arguments: &[&str]) -> Self {

@@ -4,7 +4,7 @@ use crate::quantity::Quantity;
 
 /// Origin of readings: each has its own remedies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Source {
+pub enum Origin {
     /// A table, an archive or a capture, read by a verb of joulebus.
     Recording,
     /// A recording whose current is turned already.
@@ -70,8 +70,8 @@ fn of_bridge(unit: &str) -> Option<&str> {
 
 impl Edit {
     /// How a source says it, if it can. `column`: its name for the quantity.
-    pub(crate) fn said(&self, source: Source, column: &str) -> Option<String> {
-        use Source::{Array, Bag, Bridge, Program, Recording, TurnedBag, TurnedRecording};
+    pub(crate) fn said(&self, origin: Origin, column: &str) -> Option<String> {
+        use Origin::{Array, Bag, Bridge, Program, Recording, TurnedBag, TurnedRecording};
         let map = |text: String| match text.contains(char::is_whitespace) {
             true => format!("--map '{text}'"),
             false => format!("--map {text}"),
@@ -79,7 +79,7 @@ impl Edit {
         let field = |quantity: Quantity, key: &str, value: String| {
             format!("{} = {{ at = …, {key} = {value} }}", quantity.name())
         };
-        match (self, source) {
+        match (self, origin) {
             (Self::Turn, Recording | Array | Bag) => {
                 Some("--current discharge-negative".to_owned())
             }

@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::Serialize;
 
-use crate::edit::{Edit, Source, UNNAMED};
+use crate::edit::{Edit, Origin, UNNAMED};
 use crate::quantity::{Quantity, UNMEASURED_A, number};
 
 /// Kind of a finding. Its name is what `--accept` takes, and its [`Card`](crate::Card) says what it
@@ -267,24 +267,24 @@ impl Finding {
     /// The remedy, in the words of the source, as if each of its edits worked. `column` is the name
     /// that the source has for the quantity, if known.
     #[must_use]
-    pub fn remedy(&self, source: Source, column: Option<&str>) -> String {
-        self.remedy_by(source, column, &self.edits(column))
+    pub fn remedy(&self, origin: Origin, column: Option<&str>) -> String {
+        self.remedy_by(origin, column, &self.edits(column))
     }
 
     /// The same with those of its edits that were tried, and leave no finding.
     #[must_use]
-    pub fn remedy_by(&self, source: Source, column: Option<&str>, edits: &[Edit]) -> String {
+    pub fn remedy_by(&self, origin: Origin, column: Option<&str>, edits: &[Edit]) -> String {
         let quantity = self.quantity.map_or("time", Quantity::name);
         let column = column.unwrap_or(UNNAMED);
-        let options = edits.iter().filter_map(|edit| edit.said(source, column));
+        let options = edits.iter().filter_map(|edit| edit.said(origin, column));
         let options = options.collect::<Vec<_>>().join(" or ");
-        let is_file = matches!(source, Source::Recording | Source::TurnedRecording | Source::Array);
+        let is_file = matches!(origin, Origin::Recording | Origin::TurnedRecording | Origin::Array);
         let remedy = match self.remedy {
-            Remedy::Unmeasured(value) => unmeasured(value, source, column),
+            Remedy::Unmeasured(value) => unmeasured(value, origin, column),
             Remedy::Apart if is_file && column != UNNAMED => {
                 format!("tell the sources apart, --map robot={column}, or record one of them")
             }
-            _ if !options.is_empty() && source == Source::Program => {
+            _ if !options.is_empty() && origin == Origin::Program => {
                 format!("publish {quantity} with {options}")
             }
             Remedy::Turn if !options.is_empty() => format!("turn the sign with {options}"),
@@ -297,7 +297,7 @@ impl Finding {
             _ if !options.is_empty() => format!("state the unit, {options}, or correct the source"),
             // Its columns have one unit each.
             Remedy::Scale { .. } | Remedy::State(_) | Remedy::Seconds(..)
-                if source == Source::Array =>
+                if origin == Origin::Array =>
             {
                 format!(
                     "convert its {quantity}, because an array has s, m/s, rad/s, mV, mA and mW, or \
@@ -306,10 +306,10 @@ impl Finding {
             }
             other => {
                 let words = other.words();
-                let own = match source {
+                let own = match origin {
                     _ if is_file => words[0],
-                    Source::Bag | Source::TurnedBag => words[1],
-                    Source::Bridge => words[2],
+                    Origin::Bag | Origin::TurnedBag => words[1],
+                    Origin::Bridge => words[2],
                     _ => words[3],
                 };
                 let own = if own.is_empty() { words[0] } else { own };
@@ -323,10 +323,10 @@ impl Finding {
             }
         };
         let kind = self.kind;
-        match (self.remedy, source) {
+        match (self.remedy, origin) {
             // Accepting it would turn an unknown into a number.
-            (Remedy::Unmeasured(_), _) | (_, Source::Program) => remedy,
-            (_, Source::Bridge) => {
+            (Remedy::Unmeasured(_), _) | (_, Origin::Program) => remedy,
+            (_, Origin::Bridge) => {
                 format!("{remedy}. If it is right, set accept = [\"{kind}\"]")
             }
             _ => format!("{remedy}. If it is right, add --accept {kind}"),
@@ -353,22 +353,22 @@ impl Finding {
 }
 
 /// The remedy of a current that nobody measures: to say so, where its file has a number for that.
-fn unmeasured(value: f64, source: Source, column: &str) -> String {
-    let sign = if source == Source::TurnedRecording { -1.0 } else { 1.0 };
-    let units: &[f64] = match (source, stated("current", column)) {
-        (Source::Array, _) | (_, Some("mA")) => &[1e-3],
+fn unmeasured(value: f64, origin: Origin, column: &str) -> String {
+    let sign = if origin == Origin::TurnedRecording { -1.0 } else { 1.0 };
+    let units: &[f64] = match (origin, stated("current", column)) {
+        (Origin::Array, _) | (_, Some("mA")) => &[1e-3],
         (_, Some("A")) => &[1.0],
         (_, Some(_)) => &[1e-6],
         (_, None) => &[1.0, 1e-3],
     };
     let is_reserved =
         units.iter().any(|unit| (sign * value / unit - UNMEASURED_A).abs() < RESERVED_WITHIN);
-    let say = match source {
-        Source::Recording | Source::TurnedRecording | Source::Array if is_reserved => {
+    let say = match origin {
+        Origin::Recording | Origin::TurnedRecording | Origin::Array if is_reserved => {
             "say that it is no reading with --map missing:=-1"
         }
-        Source::Bridge => "leave the current out of the mapping",
-        Source::Program => "publish no current, and no power made of it",
+        Origin::Bridge => "leave the current out of the mapping",
+        Origin::Program => "publish no current, and no power made of it",
         _ => "use a recording of another monitor",
     };
     format!("check the sensor and its driver, or {say}")

@@ -27,7 +27,7 @@ pub use battery::{
 };
 pub use card::Card;
 pub use clock::{StampState, Stamps};
-pub use edit::{Edit, Source};
+pub use edit::{Edit, Origin};
 pub use finding::{Finding, Kind, Severity};
 pub use front::{Field, Mapped, PowerOf, SOC, Said, Unusable};
 pub use hold::{COMMAND_HOLDS_S, Expired};

@@ -7,7 +7,7 @@ use serde::de::DeserializeOwned;
 use serde::de::value::{Error, StrDeserializer};
 use toml::de::DeTable;
 
-use crate::document::Source;
+use crate::document::NamedText;
 use crate::files;
 use crate::key::{DefaultValue, File, Key};
 use crate::problem::{ConfigError, Problem};
@@ -77,7 +77,7 @@ impl CheckedFile {
     /// The text is not TOML.
     pub fn parse(text: &str, path: &Path, file: File) -> Result<Self, ConfigError> {
         let mut problems = Vec::new();
-        let source = Source::new(text, &path.display().to_string(), path.parent());
+        let source = NamedText::new(text, &path.display().to_string(), path.parent());
         let Some(values) = source.values(file, &mut problems) else {
             return Err(ConfigError::Refused(problems));
         };

@@ -8,7 +8,7 @@ use joulebus_settings::{
 };
 
 use crate::consistency::{self, level_limit_by_rate};
-use crate::document::{FleetFile, Listed, RETIRED, Source};
+use crate::document::{FleetFile, Listed, NamedText, RETIRED};
 use crate::files::Attached;
 use crate::key::{ValueKind, voltages};
 use crate::model_source::ModelSource;
@@ -126,7 +126,7 @@ impl Config {
         directory: &Path,
         attached: Attached<'_>,
     ) -> Result<Self, ConfigError> {
-        let source = Source::new(text, name, Some(directory));
+        let source = NamedText::new(text, name, Some(directory));
         let mut problems = Vec::new();
         let mut warnings = Vec::new();
         let mut read = source.fleet(&mut problems);

@@ -22,7 +22,7 @@ const MAX_SHOWN: usize = 60;
 pub(crate) const RETIRED: &str = "is retired: it has no effect";
 
 /// A text and its name.
-pub(crate) struct Source<'a> {
+pub(crate) struct NamedText<'a> {
     text: &'a str,
     pub(crate) name: Arc<str>,
     directory: Option<Arc<PathBuf>>,
@@ -49,7 +49,7 @@ pub(crate) struct Listed {
     pub(crate) cut_short: bool,
 }
 
-impl<'a> Source<'a> {
+impl<'a> NamedText<'a> {
     /// A text, its name in messages, and the directory to which its paths are relative. `None` for
     /// built-in texts.
     pub(crate) fn new(text: &'a str, name: &str, directory: Option<&Path>) -> Self {
@@ -63,7 +63,7 @@ impl<'a> Source<'a> {
     }
 }
 
-impl Source<'_> {
+impl NamedText<'_> {
     /// Reads the file of a fleet.
     pub(crate) fn fleet(&self, problems: &mut Vec<Problem>) -> FleetFile {
         let Some(mut values) = self.values(File::Fleet, problems) else {
@@ -132,7 +132,7 @@ impl Source<'_> {
     }
 }
 
-impl Source<'_> {
+impl NamedText<'_> {
     /// The start of the line of an error without a position: the text up to any earlier line does
     /// not have the error.
     fn start_of(&self, error: &toml::de::Error) -> usize {
@@ -171,7 +171,7 @@ fn first_of(text: &str, line: usize) -> Option<usize> {
 
 /// A file being traversed.
 struct Walk<'a> {
-    source: &'a Source<'a>,
+    source: &'a NamedText<'a>,
     file: File,
     /// The free name that `*` stands for.
     name: Option<String>,

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Component, Path, PathBuf};
 
 use crate::builtin;
-use crate::document::{FleetFile, Source};
+use crate::document::{FleetFile, NamedText};
 use crate::key::File;
 use crate::keys::DEFAULT_ROOT;
 use crate::model_source::ModelSource;
@@ -74,7 +74,7 @@ fn platform(
             let what = format!("is {file:?}, and there is no such built-in platform");
             (what, format!("Built-in platforms: {}", known.join(", ")))
         })?;
-        return Ok(Source::new(text, &file, None).values(File::Platform, problems));
+        return Ok(NamedText::new(text, &file, None).values(File::Platform, problems));
     }
     let path = resolve(values, "platform.file").unwrap_or_else(|| PathBuf::from(&file));
     let text = match files {
@@ -88,7 +88,7 @@ fn platform(
         })?,
     };
     let folder = path.parent().unwrap_or(Path::new(""));
-    let source = Source::new(&text, &path.display().to_string(), Some(folder));
+    let source = NamedText::new(&text, &path.display().to_string(), Some(folder));
     Ok(source.values(File::Platform, problems))
 }
 

@@ -23,7 +23,7 @@ use joulebus_settings::bounds;
 use joulebus_statistics::bootstrap::Estimate;
 use serde::Serialize;
 
-use crate::judgement::{AcceptArguments, Source, report};
+use crate::judgement::{AcceptArguments, Origin, report};
 use crate::next_command::recordings;
 use crate::recordings::{ColumnArguments, find_recordings, open_with_ids};
 use crate::train::train_recordings;
@@ -217,7 +217,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     for file in &files {
         Trial::each(file, &map, |trial| {
             profiler.take(&trial);
-            found.push(args.accept.look_at(Source::Recording, &trial));
+            found.push(args.accept.look_at(Origin::Recording, &trial));
             recorded_robots.take(&trial);
             short.extend(Some(trial).filter(is_short));
             Ok::<_, TrialError>(())

@@ -94,7 +94,7 @@ impl From<BagTrial> for Recording {
 
 #[derive(Debug, Serialize)]
 struct ImportReport {
-    sources: Vec<Source>,
+    sources: Vec<ImportedFile>,
     /// Implausible findings that are no reason to stop.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     implausible: Vec<Judged>,
@@ -103,7 +103,7 @@ struct ImportReport {
 }
 
 #[derive(Debug, Serialize)]
-struct Source {
+struct ImportedFile {
     file: String,
     #[serde(flatten)]
     imported: Option<Imported>,
@@ -142,8 +142,8 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
         bail!("nothing could be used\n{}", report.to_string().trim_end());
     }
     let source = |recording: &Recording| match recording.is_of_bag {
-        true => judgement::Source::Bag,
-        false => judgement::Source::Recording,
+        true => judgement::Origin::Bag,
+        false => judgement::Origin::Recording,
     };
     let judged = recordings.iter().map(|one| (source(one), &one.trial));
     report.implausible = args.accept.judge_from(judged)?;
@@ -183,7 +183,7 @@ fn read_bag(
     path: &Path,
     mapping: &Mapping,
     recordings: &mut Vec<Recording>,
-) -> anyhow::Result<Source> {
+) -> anyhow::Result<ImportedFile> {
     let named = || path.display().to_string();
     let BagRead { mut imported, mut left_out } =
         bag::read(path, &stem(path), mapping).with_context(named)?;
@@ -200,7 +200,7 @@ fn read_bag(
         }
         robot.notes.extend(notes);
     }
-    Ok(Source { file: named(), imported: Some(imported), trial: None, left_out })
+    Ok(ImportedFile { file: named(), imported: Some(imported), trial: None, left_out })
 }
 
 /// The trials of a dataset with one robot, or of our capture with any number.
@@ -208,14 +208,14 @@ fn read_trials(
     path: &Path,
     map: &ColumnMap,
     recordings: &mut Vec<Recording>,
-) -> anyhow::Result<Source> {
+) -> anyhow::Result<ImportedFile> {
     let from_capture = is_capture(path);
     let trials = match from_capture {
         true => Trial::read_mapped(path, map)?,
         false => one_robot(path, map)?,
     };
     let notes: Vec<String> = trials.iter().map(|trial| trial.notes().to_string()).collect();
-    let mut source = Source {
+    let mut source = ImportedFile {
         file: path.display().to_string(),
         imported: None,
         trial: Some(notes.join("; ")),

@@ -8,7 +8,7 @@ use joulebus_config::{Assignment, Config};
 use joulebus_dataset::inspect::{Implausible, Limits, Range, judge, judge_from, judge_together};
 use joulebus_dataset::trial::{LeftOut, Trial};
 use joulebus_eval::score::Recording;
-pub(crate) use joulebus_plausibility::Source;
+pub(crate) use joulebus_plausibility::Origin;
 use joulebus_plausibility::{Kind, Quantity, Severity};
 use joulebus_program::exit::UsageError;
 use joulebus_program::output::{Output, log_line};
@@ -108,25 +108,25 @@ impl AcceptArguments {
     /// A finding that makes results wrong and is not accepted.
     pub(crate) fn judge_from<'a>(
         &self,
-        trials: impl Iterator<Item = (Source, &'a Trial)>,
+        trials: impl Iterator<Item = (Origin, &'a Trial)>,
     ) -> anyhow::Result<Vec<Judged>> {
         let (mut found, mut all) = (Vec::new(), Vec::new());
-        for (source, trial) in trials {
-            found.push(self.look_at(source, trial));
+        for (origin, trial) in trials {
+            found.push(self.look_at(origin, trial));
             all.push(trial);
         }
         self.settle(found, all)
     }
 
     /// Implausible findings of a trial, for [`AcceptArguments::settle`].
-    pub(crate) fn look_at(&self, source: Source, trial: &Trial) -> Vec<Implausible> {
+    pub(crate) fn look_at(&self, origin: Origin, trial: &Trial) -> Vec<Implausible> {
         let notes = trial.notes();
         self.log_lines_left_out(
             &trial.path().display(),
             &notes.left_out,
             notes.no_final_line_break,
         );
-        judge_from(source, trial, &Limits::default())
+        judge_from(origin, trial, &Limits::default())
     }
 
     /// The same, each with the limits of its platform: what is outside is a warning.

@@ -29,7 +29,7 @@ const MAX_TIMEOUT: Duration = Duration::from_secs(1 << 32);
 type Rows = PyResult<Option<(u64, Vec<u8>)>>;
 
 /// The state of the thread.
-pub(crate) struct State {
+pub(crate) struct PlannerState {
     ports: Option<Open>,
     frames: HashMap<u64, KeptForecasts>,
     next: u64,
@@ -65,7 +65,7 @@ struct Memory {
 #[pyclass(module = "joulebus._native", frozen)]
 #[derive(Debug)]
 pub(crate) struct PlannerPorts {
-    thread: PortThread<State>,
+    thread: PortThread<PlannerState>,
 }
 
 #[pymethods]
@@ -76,7 +76,7 @@ impl PlannerPorts {
             let config = Config::load(config).map_err(|error| error.to_string())?;
             let planner = Ports::with_config(&config, &name).map_err(|error| error.to_string())?;
             let open = Open { planner, diagnostics: None, budgets: None, outlooks: None };
-            Ok(State { ports: Some(open), frames: HashMap::new(), next: 0 })
+            Ok(PlannerState { ports: Some(open), frames: HashMap::new(), next: 0 })
         };
         let thread = py.detach(|| PortThread::start(open))?;
         Ok(Self { thread })
@@ -176,7 +176,7 @@ impl PlannerPorts {
         &self,
         py: Python<'py>,
         timeout_s: Option<f64>,
-        read: fn(&mut State) -> Rows,
+        read: fn(&mut PlannerState) -> Rows,
     ) -> PyResult<Option<Bound<'py, PyTuple>>> {
         const PAUSE: Duration = Duration::from_millis(2);
         let deadline = deadline(timeout_s)?;
@@ -194,7 +194,7 @@ impl PlannerPorts {
     }
 }
 
-impl State {
+impl PlannerState {
     fn open(&mut self) -> PyResult<(&mut Open, usize)> {
         let kept = self.frames.len();
         self.ports.as_mut().map(|open| (open, kept)).ok_or_else(closed)
@@ -251,7 +251,7 @@ impl State {
 #[derive(Debug)]
 pub(crate) struct FrameMemory {
     memory: Memory,
-    thread: PortThread<State>,
+    thread: PortThread<PlannerState>,
 }
 
 #[pymethods]

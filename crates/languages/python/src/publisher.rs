@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Mutex;
 
 use joulebus_publisher::columns::{COLUMNS, SetColumn};
-use joulebus_publisher::plausibility::{Kind, Source};
+use joulebus_publisher::plausibility::{Kind, Origin};
 use joulebus_publisher::{
     Config, Judgement, PublishError as Refusal, Publisher as Port, Refused, RobotState, clock,
 };
@@ -46,7 +46,7 @@ impl PublisherPort {
         Ok(Self {
             thread,
             warned: Mutex::default(),
-            judgement: Mutex::new(Judgement::new(Source::Program, vec![Kind::Constant])),
+            judgement: Mutex::new(Judgement::new(Origin::Program, vec![Kind::Constant])),
             unreported: Mutex::default(),
         })
     }

@@ -15,7 +15,7 @@ use joulebus_dataset::inspect::{
 use joulebus_dataset::rows::trial_rows as rows_of;
 use joulebus_dataset::trial::{BagTrial, Column, ColumnMap, MappedColumn, Row, Trial, TrialError};
 use joulebus_predictor::INPUTS;
-use joulebus_publisher::plausibility::{Kind, Source};
+use joulebus_publisher::plausibility::{Kind, Origin};
 use joulebus_wire::{
     Budgets, Channel, Diagnostics, Forecasts, FrameHeader as _, Outlooks, Samples,
 };
@@ -468,7 +468,7 @@ pub(crate) fn read_bag<'py>(
         return Err(refused(&format!("nothing could be used\n{}", lost.unwrap_or_default())));
     }
     let judged =
-        found.iter().flat_map(|one| judge_from(Source::Bag, &one.trial, &Limits::default()));
+        found.iter().flat_map(|one| judge_from(Origin::Bag, &one.trial, &Limits::default()));
     let judged: Vec<Implausible> = judged.collect();
     reading.judge(&judged, found.iter().map(|one| &one.trial))?;
     let named = |one: &BagTrial| Ok((Some(one.name.clone()), columns(py, &one.trial)?));

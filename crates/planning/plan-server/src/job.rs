@@ -27,7 +27,7 @@ pub(crate) struct Job {
     pub(crate) taken_ns: u64,
     /// Inputs of the answer. Filled when the computation starts.
     pub(crate) answer: AnswerHeader,
-    pub(crate) state: State,
+    pub(crate) state: JobState,
     /// Number of times that its computation restarted because the robots' state had become stale.
     pub(crate) renewals: u32,
     /// When its acknowledgement was first entered, monotonic ns.
@@ -35,7 +35,7 @@ pub(crate) struct Job {
     watch: Option<PeerWatch>,
 }
 
-/// State of a job. A job that is answered or refused is removed.
+/// JobState of a job. A job that is answered or refused is removed.
 ///
 /// 1. A question is `Waiting` until a current frame of the robots' states is here. It is then
 ///    `Working`, a step at a time. If the states become stale meanwhile, it starts again with newer
@@ -45,7 +45,7 @@ pub(crate) struct Job {
 /// 3. A statement (`Stating`) is passed on to the worker, and is `Stated` until the worker has taken
 ///    it.
 #[derive(Debug)]
-pub(crate) enum State {
+pub(crate) enum JobState {
     Waiting(Question),
     Working(Work),
     /// Waits for diagnostics, which state whether the alarm is raised.
@@ -62,15 +62,16 @@ impl Job {
         let (header, values) = (*query.header(), query.values().to_vec());
         let decoded = match QueryKind::decode(header.kind) {
             Some(QueryKind::Acknowledge) => {
-                acknowledgement::decode(&header, &values, fleet, now_ns).map(State::Acknowledging)
+                acknowledgement::decode(&header, &values, fleet, now_ns)
+                    .map(JobState::Acknowledging)
             }
             Some(QueryKind::Battery) => statement::decode(&header, &values, fleet)
-                .map(|(robot, stated, by)| State::Stating(robot, stated, by)),
-            _ => Question::decode(&header, &values, fleet).map(State::Waiting),
+                .map(|(robot, stated, by)| JobState::Stating(robot, stated, by)),
+            _ => Question::decode(&header, &values, fleet).map(JobState::Waiting),
         };
         let (state, checked) = match decoded {
             Ok(state) => (state, Ok(())),
-            Err(refused) => (State::Waiting(Question::default()), Err(refused)),
+            Err(refused) => (JobState::Waiting(Question::default()), Err(refused)),
         };
         let client = query.client();
         let job = Self {
@@ -96,7 +97,7 @@ impl Job {
     /// The acknowledgement, if it is one.
     pub(crate) const fn acknowledgement(&self) -> Option<Acknowledgement> {
         match self.state {
-            State::Acknowledging(row) => Some(row),
+            JobState::Acknowledging(row) => Some(row),
             _ => None,
         }
     }
@@ -117,7 +118,7 @@ impl Job {
     pub(crate) fn is_over(&mut self, now_ns: u64) -> Option<Refused> {
         let limit_ns = self.taken_ns.saturating_add(MAX_AGE_NS);
         // What the worker has got is not refused for its time.
-        let is_stated = matches!(self.state, State::Stated(_));
+        let is_stated = matches!(self.state, JobState::Stated(_));
         if !is_stated && now_ns >= self.header.deadline_ns.min(limit_ns) {
             let waited_s = now_ns.saturating_sub(self.taken_ns) as f64 * 1e-9;
             let text =

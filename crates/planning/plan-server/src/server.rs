@@ -15,7 +15,7 @@ use joulebus_wire::{
 use crate::acknowledgements::{Acknowledged, Table};
 use crate::error::ServerError;
 use crate::fair::Fair;
-use crate::job::{Job, State};
+use crate::job::{Job, JobState};
 use crate::records::Records;
 use crate::statements::Statements;
 
@@ -142,7 +142,7 @@ impl Server {
         let taken = self.take();
         self.answer_stated()?;
         for job in std::mem::take(&mut self.jobs) {
-            let what = if matches!(job.state, State::Stated(_)) { "state it" } else { "ask" };
+            let what = if matches!(job.state, JobState::Stated(_)) { "state it" } else { "ask" };
             let text = format!("the worker ends: {what} again when it has been started again");
             self.refuse(job, &Refused::new(QueryRefusal::Ending, text))?;
         }
@@ -184,13 +184,13 @@ impl Server {
     /// Passes on what a job states of a battery, if it does.
     fn state(&self, job: &mut Job) -> Result<(), Refused> {
         let now_ns = clock::monotonic_ns();
-        let State::Stating(robot, statement, by) = &job.state else {
+        let JobState::Stating(robot, statement, by) = &job.state else {
             return Ok(());
         };
         let (robot, statement, by) = (*robot, *statement, by.clone());
         // Who gave up has not stated it.
         job.is_over(now_ns).map_or(Ok(()), Err)?;
-        job.state = State::Stated(self.state_battery(robot, statement, &by)?);
+        job.state = JobState::Stated(self.state_battery(robot, statement, &by)?);
         Ok(())
     }
 
@@ -199,7 +199,7 @@ impl Server {
     fn answer_stated(&mut self) -> Result<(), ServerError> {
         let worker = self.statements.as_ref();
         let has_taken = |number| worker.is_some_and(|worker| worker.has_taken(number));
-        let is_due = |job: &mut Job| matches!(job.state, State::Stated(of) if has_taken(of));
+        let is_due = |job: &mut Job| matches!(job.state, JobState::Stated(of) if has_taken(of));
         let stated: Vec<Job> = self.jobs.extract_if(.., is_due).collect();
         stated.into_iter().try_for_each(|job| self.answer(job, |_| Reply::default()))
     }
@@ -244,7 +244,7 @@ impl Server {
             match taken {
                 Ok(None) => self.answer(job, |_| Reply::default())?,
                 Ok(Some(number)) => {
-                    job.state = State::Stated(number);
+                    job.state = JobState::Stated(number);
                     self.jobs.insert(place, job);
                     place += 1;
                 }
@@ -299,7 +299,7 @@ impl Server {
     /// the tick does not write them.
     fn connect(&mut self, clients: usize) -> Result<(), ServerError> {
         let now_ns = clock::monotonic_ns();
-        let is_plan = |job: &Job| matches!(job.state, State::Waiting(_) | State::Working(_));
+        let is_plan = |job: &Job| matches!(job.state, JobState::Waiting(_) | JobState::Working(_));
         if clients > 0 {
             self.asked_ns = now_ns;
             if self.planner.is_none() && self.jobs.iter().any(is_plan) {
@@ -336,9 +336,9 @@ impl Server {
         let (has_frame, is_current) = (view.is_some(), view.is_some_and(|view| view.is_current()));
         let period_ns = self.config.tick_period_ns();
         let is_ready = |job: &&(usize, &Job)| match job.1.state {
-            State::Working(_) => true,
-            State::Waiting(_) => is_current || job.1.is_impatient(now_ns, period_ns, has_frame),
-            State::Acknowledging(_) | State::Stating(..) | State::Stated(_) => false,
+            JobState::Working(_) => true,
+            JobState::Waiting(_) => is_current || job.1.is_impatient(now_ns, period_ns, has_frame),
+            JobState::Acknowledging(_) | JobState::Stating(..) | JobState::Stated(_) => false,
         };
         let ready: Vec<(usize, &Job)> =
             jobs.iter().enumerate().filter(|job| is_ready(&job)).collect();
@@ -373,15 +373,15 @@ impl Server {
             Refused::new(QueryRefusal::NoFrame, text)
         };
         let planner = self.planner.as_mut().ok_or_else(none)?;
-        if let State::Waiting(question) = &mut job.state {
+        if let JobState::Waiting(question) = &mut job.state {
             let view = planner.view().map_err(|_| none())?.ok_or_else(none)?;
             let question = std::mem::take(question);
             let find = |robot| View::rows(&view, robot);
             let work = Work::begin(question, find, MAX_QUERY_STEPS).map_err(refused);
             view.state_in(&mut job.answer);
-            job.state = State::Working(work?);
+            job.state = JobState::Working(work?);
         }
-        let State::Working(work) = &mut job.state else {
+        let JobState::Working(work) = &mut job.state else {
             return Ok(None);
         };
         let fleet = planner.fleet();
@@ -413,7 +413,7 @@ impl Server {
         if work.rest(planner.fleet()).map_err(refused)? {
             return Ok(Some(work));
         }
-        job.state = State::Working(work);
+        job.state = JobState::Working(work);
         Ok(None)
     }
 

@@ -6,7 +6,7 @@ use std::time::Duration;
 use joulebus_board::Board;
 use joulebus_bus::{Background, clock};
 use joulebus_config::Config;
-use joulebus_plausibility::{Expired, Kind, Source};
+use joulebus_plausibility::{Expired, Kind, Origin};
 use joulebus_publisher::Judgement;
 use joulebus_settings::ChargeReading;
 
@@ -63,7 +63,7 @@ impl Bridge {
         };
         let charge = robots.iter().map(|robot| (*robot, ChargeReading::Load));
         // Findings are written into files, which are not simulated.
-        let judgement = Judgement::new(Source::Bridge, Kind::ALL.to_vec());
+        let judgement = Judgement::new(Origin::Bridge, Kind::ALL.to_vec());
         let intake = Intake::new(holds, false, charge).judged_by(judgement);
         let shared = Arc::new(Shared::new(intake, None));
         let publishing = publishing::start(config, name, &named, &shared)?;

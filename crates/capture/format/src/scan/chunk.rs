@@ -4,12 +4,12 @@ use std::io::{self, BufRead, Read, Seek, Take};
 
 use super::chunk_header::{self, FIXED_BYTES, MAX_NAME_BYTES};
 use super::error::ScanError;
+use super::input::{Input, fill};
 use super::plausible::is_record;
 use super::record::{
     ChunkFrame, Crc, HEAD_BYTES, Head, MAX_RECORD_BYTES, RecordLocation, is_opcode, max_expanded,
 };
 use super::resume::Failure;
-use super::source::{Source, fill};
 
 /// Maximum window of a zstd frame, as a power of two: 32 MiB, more than levels up to 19 use.
 const MAX_WINDOW_LOG: u32 = 25;
@@ -28,9 +28,9 @@ pub(super) struct Chunk<R> {
 }
 
 enum Body<R> {
-    Plain(Take<Source<R>>),
-    Zstd(zstd::Decoder<'static, Take<Source<R>>>),
-    Lz4(lz4::Decoder<Take<Source<R>>>),
+    Plain(Take<Input<R>>),
+    Zstd(zstd::Decoder<'static, Take<Input<R>>>),
+    Lz4(lz4::Decoder<Take<Input<R>>>),
 }
 
 /// Next item in a chunk.
@@ -61,7 +61,7 @@ impl<R: Read> Read for Body<R> {
 }
 
 impl<R: Read> Body<R> {
-    fn into_source(self) -> Source<R> {
+    fn into_input(self) -> Input<R> {
         match self {
             Self::Plain(body) => body,
             Self::Zstd(body) => body.finish(),
@@ -72,29 +72,29 @@ impl<R: Read> Body<R> {
 }
 
 impl<R: Read + Seek> Chunk<R> {
-    /// Reads the head of the chunk. The source is returned if the chunk cannot be read, unless
+    /// Reads the head of the chunk. The input is returned if the chunk cannot be read, unless
     /// memory for the decompressor was lacking.
-    #[expect(clippy::result_large_err, reason = "the source remains usable")]
+    #[expect(clippy::result_large_err, reason = "the input remains usable")]
     pub(super) fn begin(
-        mut source: Source<R>,
+        mut input: Input<R>,
         head: Head,
-    ) -> Result<Box<Self>, (Option<Source<R>>, ScanError)> {
-        let frame = match frame(&mut source, head) {
+    ) -> Result<Box<Self>, (Option<Input<R>>, ScanError)> {
+        let frame = match frame(&mut input, head) {
             Ok(frame) => frame,
-            Err(error) => return Err((Some(source), error)),
+            Err(error) => return Err((Some(input), error)),
         };
         let limit = frame.header.compressed_size;
         let no_memory = |error: io::Error| (None, failed(&frame, 0, &error));
         let body = match frame.header.compression.as_str() {
-            "" => Body::Plain(source.take(limit)),
-            "zstd" => Body::Zstd(zstd_decoder(source.take(limit)).map_err(no_memory)?),
-            "lz4" => Body::Lz4(lz4::Decoder::new(source.take(limit)).map_err(no_memory)?),
+            "" => Body::Plain(input.take(limit)),
+            "zstd" => Body::Zstd(zstd_decoder(input.take(limit)).map_err(no_memory)?),
+            "lz4" => Body::Lz4(lz4::Decoder::new(input.take(limit)).map_err(no_memory)?),
             other => {
                 let error = ScanError::Compression {
                     place: RecordLocation::top(frame.offset),
                     found: other.to_owned(),
                 };
-                return Err((Some(source), error));
+                return Err((Some(input), error));
             }
         };
         Ok(Box::new(Self { frame, body, crc: crc32fast::Hasher::new(), read: 0, record: 0 }))
@@ -222,9 +222,9 @@ impl<R: Read + Seek> Chunk<R> {
         }
     }
 
-    fn after(source: &Source<R>, end: u64) -> Failure {
-        let from = source.offset();
-        Failure { from, search_from: from, next: (end < source.file_bytes()).then_some(end) }
+    fn after(input: &Input<R>, end: u64) -> Failure {
+        let from = input.offset();
+        Failure { from, search_from: from, next: (end < input.file_bytes()).then_some(end) }
     }
 
     /// Bytes of the chunk's record before its records.
@@ -233,60 +233,60 @@ impl<R: Read + Seek> Chunk<R> {
     }
 
     /// Skips the rest of the chunk.
-    #[expect(clippy::result_large_err, reason = "the source remains usable")]
-    pub(super) fn end(self) -> Result<Source<R>, (Source<R>, ScanError)> {
+    #[expect(clippy::result_large_err, reason = "the input remains usable")]
+    pub(super) fn end(self) -> Result<Input<R>, (Input<R>, ScanError)> {
         let (place, frame) = (self.place(), self.frame);
-        let mut source = self.body.into_source();
-        match ends(&mut source, &frame, place) {
-            Ok(()) => Ok(source),
-            Err(error) => Err((source, error)),
+        let mut input = self.body.into_input();
+        match ends(&mut input, &frame, place) {
+            Ok(()) => Ok(input),
+            Err(error) => Err((input, error)),
         }
     }
 
-    pub(super) fn into_source(self) -> Source<R> {
-        self.body.into_source()
+    pub(super) fn into_input(self) -> Input<R> {
+        self.body.into_input()
     }
 }
 
 /// Reads a chunk's head, and skips its records.
 pub(super) fn pass<R: Read + Seek>(
-    source: &mut Source<R>,
+    input: &mut Input<R>,
     head: Head,
 ) -> Result<ChunkFrame, ScanError> {
-    let frame = frame(source, head)?;
-    source.skip(frame.header.compressed_size)?;
-    ends(source, &frame, RecordLocation::top(frame.offset))?;
+    let frame = frame(input, head)?;
+    input.skip(frame.header.compressed_size)?;
+    ends(input, &frame, RecordLocation::top(frame.offset))?;
     Ok(frame)
 }
 
 /// Skips the bytes after a chunk's records. If they contain further records, the length is wrong.
 fn ends<R: Read + Seek>(
-    source: &mut Source<R>,
+    input: &mut Input<R>,
     frame: &ChunkFrame,
     place: RecordLocation,
 ) -> Result<(), ScanError> {
     let end = frame.offset + frame.bytes;
-    let rest = end.saturating_sub(source.offset());
-    if follows_wrongly(source, rest)? {
+    let rest = end.saturating_sub(input.offset());
+    if follows_wrongly(input, rest)? {
         let detail = format!("its length has {rest} bytes too many, which contain records");
         return Err(ScanError::ChunkHeader { place, detail });
     }
-    if end > source.file_bytes() {
-        let missing = Some(end - source.file_bytes());
+    if end > input.file_bytes() {
+        let missing = Some(end - input.file_bytes());
         return Err(ScanError::EndsEarly { place, what: "chunk", missing });
     }
-    source.skip(rest)
+    input.skip(rest)
 }
 
 /// True if a record begins where only padding is allowed.
-fn follows_wrongly<R: Read + Seek>(source: &mut Source<R>, rest: u64) -> Result<bool, ScanError> {
+fn follows_wrongly<R: Read + Seek>(input: &mut Input<R>, rest: u64) -> Result<bool, ScanError> {
     if rest == 0 {
         return Ok(false);
     }
-    let mark = source.mark();
-    let offset = source.offset();
-    let follows = is_record(source, offset, true)?;
-    source.back_to(mark)?;
+    let mark = input.mark();
+    let offset = input.offset();
+    let follows = is_record(input, offset, true)?;
+    input.back_to(mark)?;
     Ok(follows)
 }
 
@@ -305,10 +305,10 @@ fn failed(frame: &ChunkFrame, read: u64, error: &io::Error) -> ScanError {
 }
 
 /// Reads the head of a chunk and checks that its lengths agree.
-fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFrame, ScanError> {
+fn frame<R: Read + Seek>(input: &mut Input<R>, head: Head) -> Result<ChunkFrame, ScanError> {
     let place = RecordLocation::top(head.offset);
     let refuse = |detail: String| ScanError::ChunkHeader { place, detail };
-    let header = chunk_header::parse(source.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
+    let header = chunk_header::parse(input.peek(HEAD_BYTES + FIXED_BYTES + MAX_NAME_BYTES)?)
         .map_err(|detail| match detail {
             Some(detail) => refuse(detail),
             None => ScanError::EndsEarly { place, what: "chunk", missing: None },
@@ -322,6 +322,6 @@ fn frame<R: Read + Seek>(source: &mut Source<R>, head: Head) -> Result<ChunkFram
             header.compressed_size, head.bytes
         )));
     }
-    source.skip(HEAD_BYTES + header_bytes)?;
+    input.skip(HEAD_BYTES + header_bytes)?;
     Ok(ChunkFrame { offset: head.offset, bytes: HEAD_BYTES + head.bytes, header })
 }

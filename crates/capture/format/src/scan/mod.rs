@@ -7,11 +7,11 @@
 mod chunk;
 mod chunk_header;
 mod error;
+mod input;
 mod layout;
 mod plausible;
 mod record;
 mod resume;
-mod source;
 
 use std::fmt;
 use std::io::{Read, Seek};
@@ -22,11 +22,11 @@ use mcap::records::{self, op};
 use chunk::Chunk;
 pub(crate) use chunk::zstd_decoder;
 pub use error::ScanError;
+use input::Input;
 pub use record::{ChunkFrame, Crc, MAX_RECORD_BYTES, RecordLocation, kind_name};
 use record::{HEAD_BYTES, Head, MAGIC_BYTES};
 pub(crate) use record::{is_opcode, max_expanded};
 pub use resume::Skipped;
-use source::Source;
 
 /// An event of a scan.
 #[derive(Debug)]
@@ -129,15 +129,15 @@ impl<R> fmt::Debug for Scan<R> {
 /// State of the scan.
 ///
 /// 1. It begins at the `Top`, where records follow each other.
-/// 2. A chunk moves the source into the decompressor. Its records are yielded until it ends or
-///    breaks. Then the source moves back to the `Top`.
+/// 2. A chunk moves the input into the decompressor. Its records are yielded until it ends or
+///    breaks. Then the input moves back to the `Top`.
 /// 3. An error notes where it was, in [`Scan::failed`], and ends the scan.
 /// 4. [`Scan::resume`] continues at the next plausible record, at the `Top`.
-/// 5. It is `Gone` for good when a decompressor has kept the source, and after the footer.
+/// 5. It is `Gone` for good when a decompressor has kept the input, and after the footer.
 enum State<R> {
-    Top(Source<R>),
+    Top(Input<R>),
     Chunk(Box<Chunk<R>>),
-    /// While the source is moved, or after a decompressor has kept it.
+    /// While the input is moved, or after a decompressor has kept it.
     Gone,
 }
 
@@ -156,14 +156,14 @@ impl<R: Read + Seek> Scan<R> {
     /// Starts a scan, also of a file whose first bytes are not those of an MCAP file: the error
     /// beside it reports that, and [`Scan::resume`] finds the records that there are.
     pub(crate) fn anyway(input: R) -> Result<(Self, Option<ScanError>), ScanError> {
-        let mut source = Source::new(input)?;
-        let file_bytes = source.file_bytes();
+        let mut input = Input::new(input)?;
+        let file_bytes = input.file_bytes();
         let mut magic = Vec::new();
-        source.read_up_to(MAGIC_BYTES, &mut magic)?;
+        input.read_up_to(MAGIC_BYTES, &mut magic)?;
         let (mut failed, mut not_mcap) = (None, None);
         if magic != mcap::MAGIC {
             let mut rest = Vec::new();
-            source.read_up_to(foreign::HEAD_BYTES, &mut rest)?;
+            input.read_up_to(foreign::HEAD_BYTES, &mut rest)?;
             let found = match foreign::recognise(&[magic.as_slice(), &rest].concat()) {
                 Some(foreign) => foreign.to_string(),
                 None if magic.is_empty() => "an empty file".to_owned(),
@@ -172,7 +172,7 @@ impl<R: Read + Seek> Scan<R> {
             not_mcap = Some(ScanError::NotMcap { found });
             failed = Some(resume::Failure { from: 0, search_from: 0, next: Some(MAGIC_BYTES) });
         }
-        let state = State::Top(source);
+        let state = State::Top(input);
         let passes_chunks = false;
         let scan = Self { state, buffer: Vec::new(), failed, file_bytes, passes_chunks };
         Ok((scan, not_mcap))
@@ -191,9 +191,9 @@ impl<R: Read + Seek> Scan<R> {
     /// Continues at `offset`, the start of a record. The checksum of the current section is then
     /// unknown.
     pub(crate) fn go_to(&mut self, offset: u64) -> Result<(), ScanError> {
-        if let State::Top(source) = &mut self.state {
-            source.go_to(offset)?;
-            source.restart_crc();
+        if let State::Top(input) = &mut self.state {
+            input.go_to(offset)?;
+            input.restart_crc();
         }
         self.failed = None;
         Ok(())
@@ -209,14 +209,14 @@ impl<R: Read + Seek> Scan<R> {
         let Some(failure) = self.failed.take() else {
             return Ok(None);
         };
-        let State::Top(mut source) = std::mem::replace(&mut self.state, State::Gone) else {
+        let State::Top(mut input) = std::mem::replace(&mut self.state, State::Gone) else {
             return Ok(None);
         };
-        let Some(to) = failure.next_record(&mut source)? else {
+        let Some(to) = failure.next_record(&mut input)? else {
             return Ok(None);
         };
-        source.go_to(to)?;
-        self.state = State::Top(source);
+        input.go_to(to)?;
+        self.state = State::Top(input);
         let from = failure.from;
         Ok(Some(Skipped { from, to }))
     }
@@ -230,79 +230,75 @@ impl<R: Read + Seek> Scan<R> {
             return Ok(None);
         }
         match std::mem::replace(&mut self.state, State::Gone) {
-            State::Top(source) => self.event_at_top(source),
+            State::Top(input) => self.event_at_top(input),
             State::Chunk(chunk) => self.event_in_chunk(chunk),
             State::Gone => Ok(None),
         }
     }
 
-    fn event_at_top(&mut self, mut source: Source<R>) -> Result<Option<Event<'_>>, ScanError> {
-        let head = match head(&mut source) {
+    fn event_at_top(&mut self, mut input: Input<R>) -> Result<Option<Event<'_>>, ScanError> {
+        let head = match head(&mut input) {
             Ok(head) => head,
-            Err(error) => return Err(self.fail(source, error)),
+            Err(error) => return Err(self.fail(input, error)),
         };
         match head.opcode {
-            op::CHUNK if self.passes_chunks => match chunk::pass(&mut source, head) {
+            op::CHUNK if self.passes_chunks => match chunk::pass(&mut input, head) {
                 Ok(frame) => {
-                    self.state = State::Top(source);
+                    self.state = State::Top(input);
                     Ok(Some(Event::ChunkBegins(frame)))
                 }
-                Err(error) => Err(self.fail(source, error)),
+                Err(error) => Err(self.fail(input, error)),
             },
-            op::CHUNK => match Chunk::begin(source, head) {
+            op::CHUNK => match Chunk::begin(input, head) {
                 Ok(chunk) => {
                     let frame = chunk.frame().clone();
                     self.state = State::Chunk(chunk);
                     Ok(Some(Event::ChunkBegins(frame)))
                 }
-                Err((Some(source), error)) => Err(self.fail(source, error)),
+                Err((Some(input), error)) => Err(self.fail(input, error)),
                 Err((None, error)) => Err(error),
             },
-            op::FOOTER => self.footer(source, head),
-            _ => self.record(source, head),
+            op::FOOTER => self.footer(input, head),
+            _ => self.record(input, head),
         }
     }
 
-    fn record(
-        &mut self,
-        mut source: Source<R>,
-        head: Head,
-    ) -> Result<Option<Event<'_>>, ScanError> {
+    fn record(&mut self, mut input: Input<R>, head: Head) -> Result<Option<Event<'_>>, ScanError> {
         let place = RecordLocation::top(head.offset);
-        let crc = source.crc();
+        let crc = input.crc();
         let read = if head.bytes > MAX_RECORD_BYTES {
-            source.skip(HEAD_BYTES + head.bytes)
+            input.skip(HEAD_BYTES + head.bytes)
         } else {
-            source.skip(HEAD_BYTES).and_then(|()| source.read_up_to(head.bytes, &mut self.buffer))
+            input.skip(HEAD_BYTES).and_then(|()| input.read_up_to(head.bytes, &mut self.buffer))
         };
-        let read = read.and_then(|()| self.check_length(&mut source, head));
+        let read = read.and_then(|()| self.check_length(&mut input, head));
         if let Err(error) = read {
-            return Err(self.fail(source, error));
+            return Err(self.fail(input, error));
         }
         if head.bytes > MAX_RECORD_BYTES {
-            self.state = State::Top(source);
+            self.state = State::Top(input);
             let (opcode, bytes) = (head.opcode, head.bytes);
             return Ok(Some(Event::TooLong { place, opcode, bytes }));
         }
         let mut found = None;
         if head.opcode == op::DATA_END {
-            source.restart_crc();
+            input.restart_crc();
             found = checked(&self.buffer, 0, crc);
         }
-        self.state = State::Top(source);
+        self.state = State::Top(input);
         Ok(Some(Event::Record(Raw { place, opcode: head.opcode, body: &self.buffer, crc: found })))
     }
 
     /// A record that is longer than its fields may be one of a later version. Its length is wrong
     /// if no record follows it.
-    fn check_length(&self, source: &mut Source<R>, head: Head) -> Result<(), ScanError> {
+    fn check_length(&self, input: &mut Input<R>, head: Head) -> Result<(), ScanError> {
         let is_too_long = head.bytes > MAX_RECORD_BYTES;
         let spare = if is_too_long { None } else { layout::spare(head.opcode, &self.buffer) };
         if !is_too_long && spare.is_none_or(|bytes| bytes == 0) {
             return Ok(());
         }
-        let (offset, file_bytes) = (source.offset(), source.file_bytes());
-        let next = source.peek(HEAD_BYTES)?;
+        let (offset, file_bytes) = (input.offset(), input.file_bytes());
+        let next = input.peek(HEAD_BYTES)?;
         if next.is_empty() || plausible::fits(offset, next, file_bytes).is_some() {
             return Ok(());
         }
@@ -312,28 +308,24 @@ impl<R: Read + Seek> Scan<R> {
     }
 
     /// The footer's checksum covers the summary and the footer up to the checksum.
-    fn footer(
-        &mut self,
-        mut source: Source<R>,
-        head: Head,
-    ) -> Result<Option<Event<'_>>, ScanError> {
+    fn footer(&mut self, mut input: Input<R>, head: Head) -> Result<Option<Event<'_>>, ScanError> {
         const FOOTER_BYTES: u64 = 20;
         let place = RecordLocation::top(head.offset);
         if head.bytes != FOOTER_BYTES {
             let detail = format!("it is {} bytes long, not {FOOTER_BYTES}", head.bytes);
             let what = kind_name(op::FOOTER);
-            return Err(self.fail(source, ScanError::Record { place, what, detail }));
+            return Err(self.fail(input, ScanError::Record { place, what, detail }));
         }
         let mut covered = Vec::new();
-        let read = source
+        let read = input
             .skip(HEAD_BYTES)
-            .and_then(|()| source.read_up_to(FOOTER_BYTES - 4, &mut covered))
-            .map(|()| source.crc())
-            .and_then(|crc| Ok((crc, source.read_up_to(4, &mut self.buffer)?)))
-            .and_then(|(crc, ())| Ok((crc, end_magic(&mut source)?)));
+            .and_then(|()| input.read_up_to(FOOTER_BYTES - 4, &mut covered))
+            .map(|()| input.crc())
+            .and_then(|crc| Ok((crc, input.read_up_to(4, &mut self.buffer)?)))
+            .and_then(|(crc, ())| Ok((crc, end_magic(&mut input)?)));
         let (found, ()) = match read {
             Ok(read) => read,
-            Err(error) => return Err(self.fail(source, error)),
+            Err(error) => return Err(self.fail(input, error)),
         };
         covered.extend_from_slice(&self.buffer);
         self.buffer = covered;
@@ -360,13 +352,13 @@ impl<R: Read + Seek> Scan<R> {
             Ok(chunk::Step::End { crc }) => {
                 let frame = chunk.frame().clone();
                 match chunk.end() {
-                    Ok(source) => {
-                        self.state = State::Top(source);
+                    Ok(input) => {
+                        self.state = State::Top(input);
                         Ok(Some(Event::ChunkEnds { frame, crc }))
                     }
-                    Err((source, error)) => {
-                        let after = source.offset();
-                        let error = self.fail(source, error);
+                    Err((input, error)) => {
+                        let after = input.offset();
+                        let error = self.fail(input, error);
                         self.failed =
                             Some(resume::Failure { from: after, search_from: after, next: None });
                         Err(error)
@@ -375,15 +367,15 @@ impl<R: Read + Seek> Scan<R> {
             }
             Err(error) => {
                 let failure = chunk.failure();
-                self.state = State::Top(chunk.into_source());
+                self.state = State::Top(chunk.into_input());
                 self.failed = Some(failure);
                 Err(error)
             }
         }
     }
 
-    fn fail(&mut self, source: Source<R>, error: ScanError) -> ScanError {
-        self.state = State::Top(source);
+    fn fail(&mut self, input: Input<R>, error: ScanError) -> ScanError {
+        self.state = State::Top(input);
         self.failed = Some(resume::Failure {
             from: error.place().offset,
             search_from: error.place().offset + 1,
@@ -426,11 +418,11 @@ pub(crate) fn each_record<E: From<ScanError>>(
 }
 
 /// Reads the head of the next record without consuming it.
-fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
-    let offset = source.offset();
+fn head<R: Read + Seek>(input: &mut Input<R>) -> Result<Head, ScanError> {
+    let offset = input.offset();
     let place = RecordLocation::top(offset);
-    let rest = source.file_bytes().saturating_sub(offset);
-    let bytes = source.peek(HEAD_BYTES)?;
+    let rest = input.file_bytes().saturating_sub(offset);
+    let bytes = input.peek(HEAD_BYTES)?;
     let Some((&opcode, length)) = bytes.split_first() else {
         let what = "file, without its footer";
         return Err(ScanError::EndsEarly { place, what, missing: None });
@@ -445,19 +437,19 @@ fn head<R: Read + Seek>(source: &mut Source<R>) -> Result<Head, ScanError> {
     }
     let head = Head { offset, opcode, bytes: u64::from_le_bytes(length) };
     match head.end() {
-        Some(end) if end <= source.file_bytes() || opcode == op::CHUNK => Ok(head),
+        Some(end) if end <= input.file_bytes() || opcode == op::CHUNK => Ok(head),
         end => {
-            let missing = end.map(|end| end - source.file_bytes());
+            let missing = end.map(|end| end - input.file_bytes());
             let what = kind_name(opcode);
             Err(ScanError::EndsEarly { place, what, missing })
         }
     }
 }
 
-fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
-    let place = RecordLocation::top(source.offset());
+fn end_magic<R: Read + Seek>(input: &mut Input<R>) -> Result<(), ScanError> {
+    let place = RecordLocation::top(input.offset());
     let mut magic = Vec::new();
-    source.read_up_to(MAGIC_BYTES, &mut magic)?;
+    input.read_up_to(MAGIC_BYTES, &mut magic)?;
     if magic.len() < mcap::MAGIC.len() && mcap::MAGIC.starts_with(&magic) {
         let what = "bytes that end an MCAP file";
         let missing = Some(MAGIC_BYTES - magic.len() as u64);
@@ -466,9 +458,9 @@ fn end_magic<R: Read + Seek>(source: &mut Source<R>) -> Result<(), ScanError> {
     if magic != mcap::MAGIC {
         return Err(ScanError::EndMagic { place, found: magic });
     }
-    match source.file_bytes() - source.offset() {
+    match input.file_bytes() - input.offset() {
         0 => Ok(()),
-        bytes => Err(ScanError::Trailing { place: RecordLocation::top(source.offset()), bytes }),
+        bytes => Err(ScanError::Trailing { place: RecordLocation::top(input.offset()), bytes }),
     }
 }
 

@@ -6,8 +6,8 @@ use mcap::records::op;
 
 use super::chunk_header;
 use super::error::ScanError;
+use super::input::Input;
 use super::record::{HEAD_BYTES, Head, MAGIC_BYTES};
-use super::source::Source;
 
 /// The head at `offset`, if its kind exists in the format and the record fits into the file.
 pub(super) fn fits(offset: u64, bytes: &[u8], file_bytes: u64) -> Option<Head> {
@@ -40,13 +40,13 @@ const fn least_bytes(opcode: u8) -> Option<u64> {
 
 /// True if there is a record at `offset`: by its head, its lengths, and the head of the next one.
 pub(super) fn is_record<R: Read + Seek>(
-    source: &mut Source<R>,
+    input: &mut Input<R>,
     offset: u64,
     look_ahead: bool,
 ) -> Result<bool, ScanError> {
-    source.go_to(offset)?;
-    let file_bytes = source.file_bytes();
-    let bytes = source.peek(HEAD_BYTES + 104)?;
+    input.go_to(offset)?;
+    let file_bytes = input.file_bytes();
+    let bytes = input.peek(HEAD_BYTES + 104)?;
     let Some(head) =
         bytes.get(..HEAD_BYTES as usize).and_then(|bytes| fits(offset, bytes, file_bytes))
     else {
@@ -71,5 +71,5 @@ pub(super) fn is_record<R: Read + Seek>(
     if !look_ahead || end == file_bytes {
         return Ok(true);
     }
-    is_record(source, end, false)
+    is_record(input, end, false)
 }

@@ -3,9 +3,9 @@
 use std::io::{Read, Seek};
 
 use super::error::ScanError;
+use super::input::Input;
 use super::plausible::{fits, is_record};
 use super::record::HEAD_BYTES;
-use super::source::Source;
 
 /// Bytes searched at a time.
 const WINDOW_BYTES: u64 = 64 << 10;
@@ -24,11 +24,11 @@ impl Failure {
     /// Offset of the next plausible record. `None` if there is none.
     pub(super) fn next_record<R: Read + Seek>(
         self,
-        source: &mut Source<R>,
+        input: &mut Input<R>,
     ) -> Result<Option<u64>, ScanError> {
         match self.next {
-            Some(next) if is_record(source, next, true)? => Ok(Some(next)),
-            _ => search(source, self.search_from),
+            Some(next) if is_record(input, next, true)? => Ok(Some(next)),
+            _ => search(input, self.search_from),
         }
     }
 }
@@ -43,19 +43,18 @@ pub struct Skipped {
 }
 
 /// The first plausible record at or after `from`.
-fn search<R: Read + Seek>(source: &mut Source<R>, from: u64) -> Result<Option<u64>, ScanError> {
+fn search<R: Read + Seek>(input: &mut Input<R>, from: u64) -> Result<Option<u64>, ScanError> {
     let mut window = Vec::new();
     let mut start = from;
-    while start < source.file_bytes() {
-        source.go_to(start)?;
-        source.read_up_to(WINDOW_BYTES + HEAD_BYTES, &mut window)?;
+    while start < input.file_bytes() {
+        input.go_to(start)?;
+        input.read_up_to(WINDOW_BYTES + HEAD_BYTES, &mut window)?;
         for at in 0..window.len().min(WINDOW_BYTES as usize) {
             let offset = start + at as u64;
             let Some(bytes) = window.get(at..at + HEAD_BYTES as usize) else {
                 break;
             };
-            if fits(offset, bytes, source.file_bytes()).is_some()
-                && is_record(source, offset, true)?
+            if fits(offset, bytes, input.file_bytes()).is_some() && is_record(input, offset, true)?
             {
                 return Ok(Some(offset));
             }

@@ -1,7 +1,7 @@
 //! Faults of registers, of missing readings and of parts of a recording, planted in simulated
 //! recordings; those of the grid have none of them.
 
-use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Quantity, Severity, Source};
+use joulebus_plausibility::{Finding, Judge, Kind, Known, Observation, Origin, Quantity, Severity};
 
 use super::robot::{Numbers, Recording, current_above, judged};
 
@@ -138,7 +138,7 @@ fn numbers_that_stand_for_no_reading_are_found() {
                 let found = judged(Known::default(), &rows);
                 let sentinel = found.iter().find(|one| one.kind == Kind::Sentinel);
                 let sentinel = sentinel.unwrap_or_else(|| panic!("{number} {one:?}: {found:?}"));
-                let remedy = sentinel.remedy(Source::Recording, None);
+                let remedy = sentinel.remedy(Origin::Recording, None);
                 assert!(
                     sentinel.is_error() && remedy.contains(&format!("missing:={number}")),
                     "{remedy}"
@@ -198,7 +198,7 @@ fn numbers_that_stand_for_no_reading_are_judged_as_recorded() {
             let sentinel = found.iter().find(|one| (one.kind, one.quantity) == of);
             let case = format!("{number} {turned} {discharge} {one:?}");
             let sentinel = sentinel.unwrap_or_else(|| panic!("{case}: {found:?}"));
-            let source = if turned { Source::TurnedRecording } else { Source::Recording };
+            let source = if turned { Origin::TurnedRecording } else { Origin::Recording };
             let remedy = sentinel.remedy(source, Some("current_A"));
             assert!(sentinel.is_error(), "{case}: {sentinel:?}");
             assert!(remedy.contains(&format!("missing:={number}")), "{case}: {remedy}");
@@ -316,7 +316,7 @@ fn short_recordings_are_judged() {
 /// Voltage and current of a robot of 12 V in other units than they are read in.
 #[test]
 fn each_reading_of_a_unit_is_named() {
-    use joulebus_plausibility::Source;
+    use joulebus_plausibility::Origin;
     let both = Known::default().whole().unstated(Quantity::Voltage).unstated(Quantity::Current);
     let stated = Known::default().whole();
     // Scales of voltage and current, what is known, the current in A, and the remedies for a table.
@@ -354,7 +354,7 @@ fn each_reading_of_a_unit_is_named() {
         let found = judged(known, &rows.collect::<Vec<_>>());
         let units = found.iter().filter(|one| one.kind == Kind::Unit);
         let remedies: Vec<String> =
-            units.map(|one| one.remedy(Source::Recording, Some("x"))).collect();
+            units.map(|one| one.remedy(Origin::Recording, Some("x"))).collect();
         let is_complete = remedies.len() == expected.len()
             && remedies.iter().zip(expected).all(|(remedies, part)| remedies.contains(part));
         let case = (voltage, current, ampere);

@@ -318,13 +318,13 @@ fn ranges_are_counted_and_mostly_wrong_ones_stop() {
 fn findings_name_the_option_of_each_source() {
     let rows = each(Recording::USUAL.rows(), |seen| seen.power_w = -seen.power_w);
     let found = judged(Known::default(), &rows);
-    use joulebus_plausibility::Source;
+    use joulebus_plausibility::Origin;
     let remedy = |source| found[0].remedy(source, Some("p"));
-    assert!(remedy(Source::Recording).contains("--current discharge-negative"));
-    assert!(remedy(Source::TurnedRecording).contains("--current discharge-positive"));
-    assert!(remedy(Source::Recording).contains("--accept sign"));
-    assert!(remedy(Source::Bridge).contains("negate = true"));
-    assert!(!remedy(Source::Program).contains("--accept"));
+    assert!(remedy(Origin::Recording).contains("--current discharge-negative"));
+    assert!(remedy(Origin::TurnedRecording).contains("--current discharge-positive"));
+    assert!(remedy(Origin::Recording).contains("--accept sign"));
+    assert!(remedy(Origin::Bridge).contains("negate = true"));
+    assert!(!remedy(Origin::Program).contains("--accept"));
 }
 
 /// The units that remedies name are those that --map takes.
@@ -333,7 +333,7 @@ fn a_share_that_was_divided_is_stated_as_a_share() {
     let rows = each(Recording::USUAL.rows(), |seen| seen.soc /= 100.0);
     let found = judged(Known::default(), &rows);
     let soc = found.iter().find(|one| one.quantity == Some(Quantity::Soc));
-    let source = joulebus_plausibility::Source::Recording;
+    let source = joulebus_plausibility::Origin::Recording;
     let remedy = soc.unwrap().remedy(source, Some("charge"));
     assert!(remedy.contains("--map soc_share=charge"), "{remedy}");
 }

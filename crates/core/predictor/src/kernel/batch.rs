@@ -33,7 +33,7 @@ pub enum Tiling {
     OutputMajor,
 }
 
-pub(crate) trait Source: Copy {
+pub(crate) trait BatchInput: Copy {
     /// True if batch-major loads are faster than output-major ones.
     const IS_COLUMNS: bool;
 
@@ -60,7 +60,7 @@ pub(crate) trait Source: Copy {
 #[derive(Clone, Copy)]
 pub(crate) struct Rows<'a>(pub(crate) &'a [Features]);
 
-impl Source for Rows<'_> {
+impl BatchInput for Rows<'_> {
     const IS_COLUMNS: bool = false;
 
     #[inline(always)]
@@ -100,7 +100,7 @@ impl Source for Rows<'_> {
 #[derive(Clone, Copy)]
 pub(crate) struct Columns<'a>(pub(crate) &'a [&'a [f32]; INPUTS]);
 
-impl Source for Columns<'_> {
+impl BatchInput for Columns<'_> {
     const IS_COLUMNS: bool = true;
 
     #[inline(always)]
@@ -137,7 +137,7 @@ impl Source for Columns<'_> {
 }
 
 /// A batch. `R`, `C` and `N` are the CPU's tile sizes of [`BatchMajor`] and [`OutputMajor`].
-pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: usize> {
+pub(crate) struct Batch<'a, S: BatchInput, const R: usize, const C: usize, const N: usize> {
     pub(crate) packed: &'a Packed,
     pub(crate) tiling: Tiling,
     /// Source of as many rows as `out_w` has elements.
@@ -145,7 +145,7 @@ pub(crate) struct Batch<'a, S: Source, const R: usize, const C: usize, const N: 
     pub(crate) out_w: &'a mut [f32],
 }
 
-impl<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize> Job<L>
+impl<L: Lanes, S: BatchInput, const R: usize, const C: usize, const N: usize> Job<L>
     for Batch<'_, S, R, C, N>
 {
     #[inline(always)]
@@ -187,7 +187,7 @@ pub(crate) const fn whole(count: usize, tile: usize) -> usize {
 
 /// Full tiles of `R` vectors of robots.
 #[inline(always)]
-fn batch_major<L: Lanes, S: Source, const R: usize, const C: usize>(
+fn batch_major<L: Lanes, S: BatchInput, const R: usize, const C: usize>(
     lanes: L,
     packed: &Packed,
     source: S,
@@ -206,7 +206,7 @@ fn batch_major<L: Lanes, S: Source, const R: usize, const C: usize>(
 }
 
 #[inline(always)]
-fn few<L: Lanes, S: Source, const N: usize>(
+fn few<L: Lanes, S: BatchInput, const N: usize>(
     lanes: L,
     packed: &Packed,
     source: S,
@@ -220,7 +220,7 @@ fn few<L: Lanes, S: Source, const N: usize>(
 }
 
 #[inline(always)]
-fn output_major<L: Lanes, S: Source, const N: usize>(
+fn output_major<L: Lanes, S: BatchInput, const N: usize>(
     lanes: L,
     packed: &Packed,
     source: S,

@@ -4,7 +4,7 @@
 use super::avx2::Avx2;
 #[cfg(target_arch = "x86_64")]
 use super::avx512::Avx512;
-use super::batch::{Batch, Columns, Rows, Source, Tiling};
+use super::batch::{Batch, BatchInput, Columns, Rows, Tiling};
 use super::lanes::Lanes;
 #[cfg(target_arch = "aarch64")]
 use super::neon::Neon;
@@ -119,7 +119,7 @@ impl Engine {
         self.batch(packed, tiling, Columns(columns), out_w);
     }
 
-    fn batch<S: Source>(self, packed: &Packed, tiling: Tiling, source: S, out_w: &mut [f32]) {
+    fn batch<S: BatchInput>(self, packed: &Packed, tiling: Tiling, source: S, out_w: &mut [f32]) {
         match self {
             Engine::Scalar(lanes) => tiles::<_, _, 4, 2, 4>(lanes, packed, tiling, source, out_w),
             #[cfg(target_arch = "aarch64")]
@@ -162,7 +162,7 @@ fn roll<L: Lanes, const R: usize, const C: usize>(
     lanes.run(Roll::<R, C> { packed, range, rollouts, first, energy_j, power_w });
 }
 
-fn tiles<L: Lanes, S: Source, const R: usize, const C: usize, const N: usize>(
+fn tiles<L: Lanes, S: BatchInput, const R: usize, const C: usize, const N: usize>(
     lanes: L,
     packed: &Packed,
     tiling: Tiling,

@@ -9,7 +9,7 @@ mod tls;
 use std::time::Duration;
 
 use joulebus_config::{CheckedFile, Config, ConfigError, Section};
-use joulebus_plausibility::{Kind, Packs, Source};
+use joulebus_plausibility::{Kind, Origin, Packs};
 use joulebus_publisher::Judgement;
 
 use crate::config::check::Check;
@@ -93,7 +93,7 @@ impl Settings {
         });
         let routes = self.mqtt.iter().flat_map(|mqtt| &mqtt.routes);
         let names = routes.flat_map(|route| route.fields.named()).collect();
-        let judgement = Judgement::new(Source::Bridge, self.accepted.clone()).named(names);
+        let judgement = Judgement::new(Origin::Bridge, self.accepted.clone()).named(names);
         let packs_wh = self.ros2.iter().flat_map(|ros2| ros2.packs_wh.clone()).collect();
         Intake::new(self.holds, self.reports_charging(), robots)
             .judged_by(judgement)

@@ -1,6 +1,6 @@
 //! Every kind of finding in every format that comes in live.
 
-use joulebus_plausibility::{Expired, Quantity as Judged, Source};
+use joulebus_plausibility::{Expired, Origin, Quantity as Judged};
 use joulebus_publisher::{Charger, Implausible, Judgement, RobotState};
 use joulebus_ros_messages::{BatteryState, Header, Time, encode};
 use joulebus_settings::ChargeReading;
@@ -246,7 +246,7 @@ fn run(
     let names = ["power_W", "voltage_V", "current_A", "soc_share"];
     let names = Judged::ALL.into_iter().zip(names.map(str::to_owned));
     let names = names.filter(|_| format == FORMATS[0]).collect();
-    let judgement = Judgement::new(Source::Bridge, Vec::new()).named(names);
+    let judgement = Judgement::new(Origin::Bridge, Vec::new()).named(names);
     let mut intake = Intake::new(holds, false, [(7, ChargeReading::Load)]).judged_by(judgement);
     let mut account = Account::default();
     let mut last = None;

@@ -31,7 +31,7 @@ use std::collections::BTreeMap;
 
 use joulebus_plausibility as plausibility;
 use joulebus_plausibility::{
-    ChargerWatch, CurrentMonitor, Expired, Packed, Packs, Source, is_charge,
+    ChargerWatch, CurrentMonitor, Expired, Origin, Packed, Packs, is_charge,
 };
 use joulebus_publisher::{Charger, Judgement, RobotState};
 use joulebus_settings::ChargeReading;
@@ -129,7 +129,7 @@ impl Intake {
             packs: Packs::new(Vec::new()),
             packs_of: BTreeMap::new(),
             observations: 0,
-            judgement: Judgement::new(Source::Bridge, Vec::new()),
+            judgement: Judgement::new(Origin::Bridge, Vec::new()),
         }
     }
 

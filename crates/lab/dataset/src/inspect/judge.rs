@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use joulebus_plausibility::{Edit, Finding, Judge, Kind, Known, Observation, Rows, Source};
+use joulebus_plausibility::{Edit, Finding, Judge, Kind, Known, Observation, Origin, Rows};
 use serde::Serialize;
 
 use super::finding::Occurrence;
@@ -24,37 +24,37 @@ pub struct Implausible {
 
 /// Judges a trial by all its rows: what is implausible, errors first.
 pub fn judge(trial: &Trial, limits: &Limits) -> Vec<Implausible> {
-    judge_from(Source::Recording, trial, limits)
+    judge_from(Origin::Recording, trial, limits)
 }
 
 /// Same as [`judge`], with the remedies of another source.
-pub fn judge_from(source: Source, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
+pub fn judge_from(origin: Origin, trial: &Trial, limits: &Limits) -> Vec<Implausible> {
     let known = known(trial, limits);
     let mut judge = Judge::new(known);
     trial.observations().for_each(|seen| judge.take(&seen));
     let appended = trial.appended().map(|begun| Finding::appended(begun.row, begun.back_s));
     let all = judge.findings();
-    let source = match source {
-        Source::Recording if trial.is_turned() => Source::TurnedRecording,
-        Source::Recording if trial.is_array() => Source::Array,
-        Source::Bag if trial.is_turned() => Source::TurnedBag,
-        source => source,
+    let origin = match origin {
+        Origin::Recording if trial.is_turned() => Origin::TurnedRecording,
+        Origin::Recording if trial.is_array() => Origin::Array,
+        Origin::Bag if trial.is_turned() => Origin::TurnedBag,
+        origin => origin,
     };
-    let rows = Rows::new(trial.observations(), known, is_product(source, trial));
+    let rows = Rows::new(trial.observations(), known, is_product(origin, trial));
     let found = all.iter().cloned().chain(appended).chain(unread(trial));
     found
         .map(|finding| {
-            let edits = rows.working(&finding, &all, |of| name_in(source, trial, of));
-            implausible(source, trial, finding, &edits)
+            let edits = rows.working(&finding, &all, |of| name_in(origin, trial, of));
+            implausible(origin, trial, finding, &edits)
         })
         .collect()
 }
 
 /// True if its power is made of voltage and current.
-fn is_product(source: Source, trial: &Trial) -> bool {
+fn is_product(origin: Origin, trial: &Trial) -> bool {
     let mut sources = trial.sources().iter();
     let is_of_table = !trial.sources().is_empty();
-    matches!(source, Source::Bag | Source::TurnedBag)
+    matches!(origin, Origin::Bag | Origin::TurnedBag)
         || (is_of_table && !sources.any(|source| source.column == Column::Power))
 }
 
@@ -71,8 +71,8 @@ fn unread(trial: &Trial) -> Option<Finding> {
 
 /// The name of a finding's quantity in its source, whose end may state the unit. Messages of a bag
 /// have SI units.
-fn name_in(source: Source, trial: &Trial, finding: &Finding) -> Option<String> {
-    name(trial, finding).filter(|_| !matches!(source, Source::Bag | Source::TurnedBag))
+fn name_in(origin: Origin, trial: &Trial, finding: &Finding) -> Option<String> {
+    name(trial, finding).filter(|_| !matches!(origin, Origin::Bag | Origin::TurnedBag))
 }
 
 /// The name of the column of a finding's quantity.
@@ -120,26 +120,26 @@ fn of_group(trials: &[&Trial], kinds: &[Kind]) -> Vec<Implausible> {
         let later = move |seen: Observation| Observation { time_s: seen.time_s + begun_s, ..seen };
         Some(trial.observations().map(later))
     });
-    let source = Source::Recording;
-    let rows = Rows::new(rows.flatten(), known, is_product(source, first));
+    let origin = Origin::Recording;
+    let rows = Rows::new(rows.flatten(), known, is_product(origin, first));
     let (count, all) = (trials.len(), judge.findings());
     let found = all.iter().filter(|finding| kinds.contains(&finding.kind)).cloned();
     found
         .map(|mut finding| {
-            let edits = rows.working(&finding, &all, |of| name_in(source, first, of));
+            let edits = rows.working(&finding, &all, |of| name_in(origin, first, of));
             finding.found = format!("{count} short recordings as one: {}", finding.found);
-            implausible(source, first, finding, &edits)
+            implausible(origin, first, finding, &edits)
         })
         .collect()
 }
 
-fn implausible(source: Source, trial: &Trial, finding: Finding, edits: &[Edit]) -> Implausible {
+fn implausible(origin: Origin, trial: &Trial, finding: Finding, edits: &[Edit]) -> Implausible {
     let name = name(trial, &finding);
     let named = match finding.kind {
         Kind::Sources => trial.apart(),
         _ => name.as_deref().or_else(|| trial.time_name()),
     };
-    let remedy = finding.remedy_by(source, named, edits);
+    let remedy = finding.remedy_by(origin, named, edits);
     let robot = trial.robot_name().map(|robot| format!("robot {robot}: ")).unwrap_or_default();
     let what = format!("{robot}{}", finding.sentences(&remedy));
     let place = Occurrence { file: trial.path().to_owned(), row: None, column: name, what };

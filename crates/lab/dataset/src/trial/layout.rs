@@ -12,7 +12,7 @@ use super::numbers::{Numbers, is_missing, with_unit};
 use super::table::{Cell, Column, SourceColumn, Table, Tables, check_value};
 use super::times::{TimeColumns, Times};
 
-enum Source {
+enum Expression {
     Position(usize),
     /// The same, where each value has its own unit behind it.
     WithUnit(usize),
@@ -23,7 +23,7 @@ enum Source {
 /// A column of the table: where its value is, and the factor to the unit of the layout.
 struct Wanted {
     column: Column,
-    source: Source,
+    source: Expression,
     factor: f64,
     name: String,
 }
@@ -189,19 +189,19 @@ impl Layout {
             };
             let (source, factor, name, states_unit) = match (constant, map.sum(quantity, &names)) {
                 (Some((text, value, factor)), _) => {
-                    (Source::Constant(value), factor, text.to_owned(), true)
+                    (Expression::Constant(value), factor, text.to_owned(), true)
                 }
-                (None, Some((terms, factor, text))) => (Source::Sum(terms), factor, text, true),
+                (None, Some((terms, factor, text))) => (Expression::Sum(terms), factor, text, true),
                 (None, None) => {
                     let unstated = found.filter(|one| !one.states_unit).map(|one| one.position);
                     let by_unit = unstated.or(if found.is_none() { bare() } else { None });
                     match (by_unit.filter(has_units), found) {
                         (Some(position), _) => {
-                            (Source::WithUnit(position), 1.0, names[position].clone(), true)
+                            (Expression::WithUnit(position), 1.0, names[position].clone(), true)
                         }
                         (None, Some(found)) => {
                             let name = names[found.position].clone();
-                            let position = Source::Position(found.position);
+                            let position = Expression::Position(found.position);
                             (position, found.factor, name, found.states_unit)
                         }
                         (None, None) => continue,
@@ -209,9 +209,11 @@ impl Layout {
                 }
             };
             let positions: Vec<usize> = match &source {
-                Source::Position(position) | Source::WithUnit(position) => vec![*position],
-                Source::Constant(_) => Vec::new(),
-                Source::Sum(terms) => terms.iter().flat_map(|term| term.factors.clone()).collect(),
+                Expression::Position(position) | Expression::WithUnit(position) => vec![*position],
+                Expression::Constant(_) => Vec::new(),
+                Expression::Sum(terms) => {
+                    terms.iter().flat_map(|term| term.factors.clone()).collect()
+                }
             };
             let of_across = match column {
                 Column::V => Some(Field::Vy),
@@ -222,8 +224,8 @@ impl Layout {
                 && let Some(at) = across_of(&names, *position)
             {
                 let source = match source {
-                    Source::WithUnit(_) => Source::WithUnit(at),
-                    _ => Source::Position(at),
+                    Expression::WithUnit(_) => Expression::WithUnit(at),
+                    _ => Expression::Position(at),
                 };
                 across.push((field, Wanted { column, source, factor, name: names[at].clone() }));
                 also_used.push(at);
@@ -443,10 +445,10 @@ impl Layout {
             Ok((if is_unknown { f64::NAN } else { number }, factor))
         };
         match source {
-            Source::Constant(value) => Ok((*value, *factor)),
-            Source::Position(position) => read(*position, false),
-            Source::WithUnit(position) => read(*position, true),
-            Source::Sum(terms) => {
+            Expression::Constant(value) => Ok((*value, *factor)),
+            Expression::Position(position) => read(*position, false),
+            Expression::WithUnit(position) => read(*position, true),
+            Expression::Sum(terms) => {
                 let mut sum = 0.0;
                 for Term { sign, factors } in terms {
                     let mut product = *sign;

@@ -245,7 +245,7 @@ fn header(unix_ns: u64, frame_id: &str) -> Header {
 
 #[cfg(test)]
 mod tests {
-    use joulebus_plausibility::Source;
+    use joulebus_plausibility::Origin;
     use joulebus_publisher::{Judgement, RobotState};
     use joulebus_ros_messages::{Message, RosType, encode};
     use serde_json::json;
@@ -333,7 +333,7 @@ mod tests {
             add_clock(&mut status, clock);
             assert_eq!((status.level, status.message.as_str()), (level, message));
         }
-        let mut judgement = Judgement::new(Source::Bridge, Vec::new());
+        let mut judgement = Judgement::new(Origin::Bridge, Vec::new());
         for step in 0..200 {
             let mut state = RobotState::new(1);
             state.power_w = Some(-40.0 - (step % 7) as f32);

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use joulebus_dataset::inspect::{Limits, check_files, judge, judge_from, judge_together};
 use joulebus_dataset::trial::{Column, ColumnMap, MappedColumn, Trial};
-use joulebus_plausibility::{Card, Kind, Severity, Source};
+use joulebus_plausibility::{Card, Kind, Origin, Severity};
 use joulebus_testkit::assert_page_contains;
 use joulebus_testkit::recordings::trials;
 use joulebus_testkit::trials::{Files, npy_f8};
@@ -398,7 +398,7 @@ fn remedies_of_a_bag_are_those_of_its_mapping_that_work() {
         });
         let path = files.write("bag.mcap", b"");
         let trial = Trial::from_bag(&path, "r", rows, &[], is_turned).unwrap();
-        let found = judge_from(Source::Bag, &trial, &Limits::default());
+        let found = judge_from(Origin::Bag, &trial, &Limits::default());
         let told: String = found.iter().map(|one| one.remedy.as_str()).collect();
         for word in words {
             assert!(told.contains(word), "{volt} {ampere}: {told}");

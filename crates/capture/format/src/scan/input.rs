@@ -9,8 +9,8 @@ const BUFFER_BYTES: usize = 256 << 10;
 /// Maximum initial allocation for a record of unverified length, bytes.
 const MAX_TRUSTED_BYTES: u64 = 1 << 20;
 
-/// A file that is read once, in order. [`Source::go_to`] breaks the order.
-pub(super) struct Source<R> {
+/// A file that is read once, in order. [`Input::go_to`] breaks the order.
+pub(super) struct Input<R> {
     input: R,
     buffer: Vec<u8>,
     start: usize,
@@ -21,7 +21,7 @@ pub(super) struct Source<R> {
     crc: Option<crc32fast::Hasher>,
 }
 
-impl<R: Read + Seek> Source<R> {
+impl<R: Read + Seek> Input<R> {
     pub(super) fn new(mut input: R) -> Result<Self, ScanError> {
         let io = |source| ScanError::Io { place: RecordLocation::top(0), source };
         let file_bytes = input.seek(SeekFrom::End(0)).map_err(io)?;
@@ -45,7 +45,7 @@ impl<R: Read + Seek> Source<R> {
         self.file_bytes
     }
 
-    /// Checksum of everything consumed since the beginning or [`Source::restart_crc`], unless bytes
+    /// Checksum of everything consumed since the beginning or [`Input::restart_crc`], unless bytes
     /// were omitted.
     pub(super) fn crc(&self) -> Option<u32> {
         Some(self.crc.clone()?.finalize())
@@ -141,7 +141,7 @@ pub(super) fn fill(input: &mut impl Read, bytes: u64, into: &mut Vec<u8>) -> io:
     Ok(())
 }
 
-impl<R: Read> Read for Source<R> {
+impl<R: Read> Read for Input<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let found = self.fill_buf()?;
         let taken = found.len().min(into.len());
@@ -151,7 +151,7 @@ impl<R: Read> Read for Source<R> {
     }
 }
 
-impl<R: Read> BufRead for Source<R> {
+impl<R: Read> BufRead for Input<R> {
     fn fill_buf(&mut self) -> io::Result<&[u8]> {
         if self.start == self.end {
             self.start = 0;
