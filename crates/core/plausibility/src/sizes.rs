@@ -59,11 +59,16 @@ impl Sizes {
 
     /// The mean magnitude of the bucket with the median. `None` without values.
     pub(crate) fn usual(&self) -> Option<f64> {
+        self.quantile(0.5)
+    }
+
+    /// The mean magnitude of the bucket with this share of the values up to it.
+    pub(crate) fn quantile(&self, share: f64) -> Option<f64> {
         let all: u64 = self.counts.iter().map(|count| u64::from(*count)).sum();
         let mut below = 0;
         for (count, sum) in self.counts.iter().zip(&self.sums) {
             below += u64::from(*count);
-            if *count > 0 && 2 * below >= all {
+            if *count > 0 && below as f64 >= share * all as f64 {
                 return Some(sum / f64::from(*count));
             }
         }

@@ -421,13 +421,20 @@ impl Magnitudes<'_> {
         most: f64,
         units: &[(&'static str, f64)],
     ) -> Option<Finding> {
-        let usual = self.usual(quantity).filter(|usual| *usual > most)?;
+        // A robot mostly turns a little, so its median can be usual in degrees as well.
+        let (share, often) = match quantity {
+            Quantity::Omega => (0.9, "often"),
+            _ => (0.5, "usually"),
+        };
+        self.usual(quantity)?;
+        let sizes = &self.columns[quantity as usize].sizes;
+        let usual = sizes.quantile(share).filter(|usual| *usual > most)?;
         let fitting = units.iter().filter(|(_, factor)| usual * factor <= most);
         let read: Vec<String> = fitting
             .clone()
             .map(|(unit, factor)| format!("{} in {unit}", quantity.shown(usual * factor)))
             .collect();
-        let mut what = format!("{} is usually {}", quantity.name(), quantity.shown(usual));
+        let mut what = format!("{} is {often} {}", quantity.name(), quantity.shown(usual));
         if !read.is_empty() {
             what += &format!(": {}", read.join(", or "));
         }

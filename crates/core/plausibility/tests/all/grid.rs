@@ -200,6 +200,12 @@ fn other_units_of_time_and_speed_are_found() {
         let rows = each(moving.rows(), |seen| seen.v_mps *= 1e3);
         let found = judged(Known::default(), &rows);
         assert!(kinds(&found).contains(&(Kind::Unit, Some(Quantity::V))), "{one:?}: {found:?}");
+        // Degrees of a robot that mostly corrects its course, and turns now and then.
+        let mut rows = moving.rows();
+        let turns = [34.0, 5.0, -5.0, 5.0, 5.0].into_iter().cycle();
+        rows.iter_mut().zip(turns).for_each(|(seen, omega)| seen.omega_radps = omega);
+        let found = judged(Known::default(), &rows);
+        assert!(kinds(&found).contains(&(Kind::Unit, Some(Quantity::Omega))), "{one:?}: {found:?}");
     }
 }
 

@@ -46,15 +46,18 @@ time|timestamp_s timestamp|time t stamp timestamp elapsed datetime date_time tim
     |s=1 sec=1 seconds=1 ms=1e-3 us=1e-6 ns=1e-9 min=60 h=3600 d=86400 =1
 power|power_mW|power p pwr electrical_power|W=1e3 mW=1 kW=1e6 uW=1e-3
 v|v_cmd_mps v_cmd|v vx linear_velocity v_linear cmd_v linear_x cmd_vel_linear_x\
-    |mps=1 m_s=1 mmps=1e-3 cmps=1e-2 =1
+    |mps=1 m_s=1 mmps=1e-3 mm_s=1e-3 cmps=1e-2 cm_s=1e-2 \
+    km_h=0.2777777777777778 kmh=0.2777777777777778 =1
 omega|omega_cmd_radps omega_cmd\
     |omega w wz w_cmd angular_velocity omega_z cmd_omega angular_z cmd_vel_angular_z yaw_rate\
-    |radps=1 rad_s=1 degps=0.017453292519943295 =1
+    |radps=1 rad_s=1 degps=0.017453292519943295 deg_s=0.017453292519943295 =1
 voltage|voltage_mV voltage|voltage battery_voltage bus_voltage|V=1e3 mV=1 uV=1e-3 cV=10
 current|current_mA current|current battery_current bus_current|A=1e3 mA=1 uA=1e-3 cA=10
-v_meas|v_meas_mps v_meas|v_measured measured_v odom_v|mps=1 m_s=1 mmps=1e-3 cmps=1e-2 =1
+v_meas|v_meas_mps v_meas|v_measured measured_v odom_v\
+    |mps=1 m_s=1 mmps=1e-3 mm_s=1e-3 cmps=1e-2 cm_s=1e-2 \
+    km_h=0.2777777777777778 kmh=0.2777777777777778 =1
 omega_meas|omega_meas_radps omega_meas|omega_measured measured_omega odom_omega\
-    |radps=1 rad_s=1 degps=0.017453292519943295 =1
+    |radps=1 rad_s=1 degps=0.017453292519943295 deg_s=0.017453292519943295 =1
 soc|soc|soc state_of_charge battery_soc|percent=0.01 pct=0.01 share=1 =1
 x|x_m x|pos_x position_x|m=1 =1
 y|y_m y|pos_y position_y|m=1 =1
@@ -100,7 +103,7 @@ impl Spelling {
         })
     }
 
-    /// The factor of a name other than the layout's, and whether the name has the unit.
+    /// The factor of a name other than exactly the layout's, and whether the name has the unit.
     fn factor(self, name: &str) -> Option<(f64, bool)> {
         // V and W alone are units more often than velocities.
         if name.chars().count() == 1 && name.chars().any(char::is_uppercase) {
@@ -112,7 +115,8 @@ impl Spelling {
                 true => name.as_str(),
                 false => name.strip_suffix(unit.as_str())?.strip_suffix('_')?,
             };
-            self.has_other(bare).then_some((factor, !unit.is_empty()))
+            let is_name = self.has_other(bare) || self.has_layout(bare);
+            is_name.then_some((factor, !unit.is_empty()))
         })
     }
 
@@ -582,9 +586,15 @@ pub(crate) fn command_option(name: &str, reads_v: bool, reads_omega: bool) -> Op
     let name_is = |words: &[&str]| words.iter().any(|word| plain.contains(word));
     let (quantity, is_read) = match (name_is(&TURNS), name_is(&DRIVES)) {
         _ if name_is(&MEASURED) => return None,
-        (true, true) => ("omega_radps", reads_omega),
-        (false, true) => ("v_mps", reads_v),
+        (true, true) => (Column::Omega, reads_omega),
+        (false, true) => (Column::V, reads_v),
         _ => return None,
+    };
+    let spelling = spelling(of(quantity));
+    // The unit of the name applies, if it has one.
+    let quantity = match (spelling.mapped_factor(name).1, spelling.units().next()) {
+        (false, Some((.., unit))) => format!("{}_{unit}", spelling.name),
+        _ => spelling.name.to_owned(),
     };
     (!is_read).then(|| format!("--map '{quantity}={name}'"))
 }
@@ -658,6 +668,13 @@ mod tests {
             ("v", of(Column::V), 1.0),
             ("linear.x", of(Column::V), 1.0),
             ("omega_rad/s", of(Column::Omega), 1.0),
+            ("v_cmd (m/s)", of(Column::V), 1.0),
+            ("V_CMD", of(Column::V), 1.0),
+            ("v [km/h]", of(Column::V), 1.0 / 3.6),
+            ("v_meas [cm/s]", of(Column::VMeasured), 1e-2),
+            ("omega_cmd [rad/s]", of(Column::Omega), 1.0),
+            ("omega_cmd (deg/s)", of(Column::Omega), std::f64::consts::PI / 180.0),
+            ("x [m]", of(Column::X), 1.0),
             ("yaw_rate", of(Column::Omega), 1.0),
             ("battery_voltage_V", of(Column::Voltage), 1e3),
             ("Current(uA)", of(Column::Current), 1e-3),
@@ -674,6 +691,9 @@ mod tests {
             let found: Vec<_> = found.iter().map(|one| (one.position, one.factor)).collect();
             assert_eq!(found, [(0, factor)], "{name}");
         }
+        // A remedy keeps the unit of the name.
+        let option = command_option("Speed (km/h)", false, false);
+        assert_eq!(option.as_deref(), Some("--map 'v=Speed (km/h)'"));
         // Measured, not commanded.
         let odometry = ["/odom/twist/twist/angular/z".to_owned()];
         assert!(map.positions(of(Column::Omega), &odometry).is_empty());
@@ -706,6 +726,7 @@ mod tests {
             ("v_mmps=a", 1e-3),
             ("v_cmps=a", 1e-2),
             ("v=a_mmps", 1e-3),
+            ("v=Speed (km/h)", 1.0 / 3.6),
             ("omega_degps=a", std::f64::consts::PI / 180.0),
         ] {
             let mapped: MappedColumn = mapping.parse().expect(mapping);
