@@ -207,10 +207,13 @@ fn battery_statement(code: f64, value: f64) -> Result<Statement, Refused> {
     let decoded = Statement::decode(code as u32, value as f32);
     let known = decoded.filter(|known| known.is_of_battery() && f64::from(code as u32) == code);
     known.ok_or_else(|| {
-        let text = format!(
-            "{code} with {value} is no statement of a battery, allowed: 1 with a state of charge \
-             from 0 to 1, 2 full, 3 exchanged"
-        );
+        let text = match code == 1.0 {
+            true => format!("a state of charge of {value}: allowed are 0 to 1"),
+            false => format!(
+                "{code} is no statement of a battery, allowed: 1 with a state of charge, 2 full, \
+                 3 exchanged"
+            ),
+        };
         Refused::new(QueryRefusal::Question, text)
     })
 }
