@@ -314,10 +314,16 @@ impl Checkpoint {
     /// Converts the accounts to the current boot. After a reboot the stamps restart, and the time
     /// in between, known only from the wall clock, is unmetered. If the wall clock shows less than
     /// the time since this boot (it is not set yet, or was set back), the time is unknown, and so
-    /// is the charge of the batteries.
+    /// is the charge of the batteries. Within a boot a false stamp becomes one shortly before the
+    /// file was written: until its time had come, the account would count nothing.
     #[must_use]
     pub(crate) fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
         if self.boot_id == boot_id {
+            let written_ns = self.written_ns;
+            let latest_ns = written_ns.saturating_add(MAX_AHEAD_NS);
+            for account in self.robots.values_mut().filter(|one| one.stamp_ns > latest_ns) {
+                account.stamp_ns = written_ns.saturating_sub(MAX_AHEAD_NS);
+            }
             return self;
         }
         let by_wall_ns = now_unix_ns.saturating_sub(self.written_unix_ns);
@@ -651,6 +657,9 @@ pub(crate) mod tests {
         assert_eq!(restored(&ledger), [1, 2, 10, 11, 12, 13, 14, 15]);
         let rebooted = ledger.clone().carried_over("boot-b", 5_000, 0);
         assert_eq!(restored(&rebooted), [1, 2, 10, 11, 12, 13, 14, 15]);
+        let again = ledger.clone().carried_over("boot-a", now_ns + 5_000, 0);
+        assert_eq!(restored(&again), [1, 2, 10, 11, 12, 13, 14, 15]);
+        assert!(again.robots.values().all(|account| account.stamp_ns <= now_ns), "they count on");
         now_ns += MAX_AHEAD_NS;
         let two = [1, 2].map(|robot| of((robot, now_ns)));
         assert_eq!(ledger.take(&sent(now_ns), &two, (2, |_| Some(100))), 14);
