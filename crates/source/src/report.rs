@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use joulebus_wire::DropReason;
 use serde::Serialize;
 
 /// Maximum number of notes shown as text.
@@ -57,9 +58,12 @@ pub struct PlayedTrial {
 }
 
 impl PublishReport {
-    /// True if samples did not reach a worker that should have.
-    pub const fn has_lost(&self) -> bool {
-        self.frames_failed > 0 || self.frames_unanswered > 0
+    /// True if samples did not reach a worker that should have, or if it refused some. Those of a
+    /// robot that another source has are not lost: it takes the other's.
+    pub fn has_lost(&self) -> bool {
+        let mut reasons = self.samples_refused.keys();
+        let is_refused = reasons.any(|reason| *reason != DropReason::ForeignSource.name());
+        self.frames_failed > 0 || self.frames_unanswered > 0 || is_refused
     }
 }
 
@@ -99,5 +103,19 @@ impl fmt::Display for PublishReport {
             writeln!(out, "{more} more recordings have gaps or other oddities: see --format json")?;
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refused_samples_are_lost_but_for_those_of_a_second_source() {
+        for (reason, lost) in [(DropReason::BadTime, true), (DropReason::ForeignSource, false)] {
+            let samples_refused = BTreeMap::from([(reason.name(), 7)]);
+            let report = PublishReport { samples_refused, ..PublishReport::default() };
+            assert_eq!(report.has_lost(), lost, "{report}");
+        }
     }
 }
