@@ -107,8 +107,10 @@ fn list(config: &Config, robot: Option<u32>, output: Output) -> anyhow::Result<O
     let list = BatteryList { fleet: config.fleet().to_owned(), robots };
     if list.robots.is_empty() {
         let why = match (seen, robot) {
-            (true, Some(robot)) => format!("the worker has received no samples of robot {robot}"),
-            (true, None) => "the worker has received no samples of any robot".to_owned(),
+            (true, Some(robot)) => {
+                format!("robot {robot} is not in the fleet: no source publishes samples of it")
+            }
+            (true, None) => "no robot is in the fleet: no source publishes samples".to_owned(),
             (false, _) => NoWorker::seen_nowhere(&config.domain()?).to_string(),
         };
         log_line(&why);

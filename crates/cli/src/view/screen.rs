@@ -240,7 +240,7 @@ impl Screen {
             let text = match board.link {
                 _ if !board.rows.is_empty() => "no robot is found: Esc lists all",
                 Link::Waiting => &self.waiting,
-                _ => "the worker has received no samples yet: `joulebus publish` sends some",
+                _ => "no robot is in the fleet: `joulebus publish` sends samples",
             };
             let text = Paragraph::new(text).style(QUIET).centered().wrap(Wrap { trim: true });
             let text = match block {

@@ -110,7 +110,9 @@ impl Args {
             return Ok(Outcome::Failed);
         };
         if let Some(robot) = self.robot.filter(|robot| !board.rows.contains_key(robot)) {
-            log_line(&format!("the worker has received no samples of robot {robot}"));
+            log_line(&format!(
+                "robot {robot} is not in the fleet: no source publishes samples of it"
+            ));
             return Ok(Outcome::Failed);
         }
         match output.format() {

@@ -39,7 +39,7 @@ fn a_battery_is_stated_by_a_person_and_its_tick_is_verified() {
         (&["--full"], 2, "required"),
         (&["0", "--full", "--by", ""], 2, "1 to 32 bytes"),
         (&["77777", "--full"], 1, "of no platform"),
-        (&["77777"], 1, "no samples of robot 77777"),
+        (&["77777"], 1, "robot 77777 is not in the fleet"),
     ] {
         let (found, printed) = battery(&fleet, wrong);
         assert!(found == status && printed.contains(reason), "{wrong:?}: {found} {printed}");
