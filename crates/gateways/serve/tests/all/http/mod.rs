@@ -209,7 +209,11 @@ fn a_battery_is_stated_by_whoever_may_ask() {
     for (body, status, reason) in [
         (json!({"robot": 1, "by": "ann"}), 400, "state one of"),
         (json!({"robot": 1, "by": "ann", "full": true, "charge": 0.5}), 400, "state one of"),
-        (json!({"robot": 1, "by": "ann", "charge": 1.5}), 400, "allowed"),
+        (
+            json!({"robot": 1, "by": "ann", "charge": 1.5}),
+            400,
+            "a state of charge of 1.5: allowed are 0 to 1",
+        ),
         (json!({"robot": 1, "by": "", "full": true}), 400, "is no name"),
         (json!({"robot": 77_777, "by": "ann", "full": true}), 400, "of no platform"),
     ] {
