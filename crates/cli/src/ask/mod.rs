@@ -155,7 +155,7 @@ pub(crate) fn run(args: &Args, output: Output) -> anyhow::Result<Outcome> {
     let simplified = path.as_ref().and_then(Path::simplified);
     let (questions, missing) = divide(&configs, args.question(path, &configs)?)?;
     for (config, question) in &questions {
-        refuse_too_fast(config, &question.plan)?;
+        refuse_impossible(config, &question.plan)?;
     }
     let mut asked = Vec::new();
     for (config, question) in questions {
@@ -495,15 +495,15 @@ fn speed(text: &str) -> Result<f64, String> {
         .to_owned())
 }
 
-/// Refuses speeds above the platform's before a worker is looked for.
-fn refuse_too_fast(config: &Config, plan: &Plan) -> Result<(), UsageError> {
+/// Refuses speeds and loads that the platform does not have, before a worker is looked for.
+fn refuse_impossible(config: &Config, plan: &Plan) -> Result<(), UsageError> {
     let Plan::Follow { robots, path, .. } = plan else {
         return Ok(());
     };
     for platform in &config.settings().platforms {
         let has = |robot: &u32| platform.robots.iter().any(|ids| ids.contains(robot));
         if robots.iter().any(has) {
-            path.check_speeds(platform).map_err(|error| UsageError(error.to_string()))?;
+            path.check_on(platform).map_err(|error| UsageError(error.to_string()))?;
         }
     }
     Ok(())

@@ -132,6 +132,12 @@ pub enum PathError {
          that the model knows"
     )]
     TooFast { point: usize, found: f64, platform: String, allowed: f32 },
+    /// A load that no reading of the platform can contain.
+    #[error(
+        "a load of {found} W from point {point} on: at most {allowed} W lie between the readings that \
+         platform {platform} allows (`power_min_w`, `power_max_w` in its config). Loads are in W"
+    )]
+    Load { point: usize, found: f64, platform: String, allowed: f64 },
     /// The platform cannot be commanded to move.
     #[error(
         "platform {platform} allows {v_max_mps} m/s and {omega_max_radps} rad/s: a path needs both \

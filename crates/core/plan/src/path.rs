@@ -80,11 +80,17 @@ impl Path {
     }
 
     /// Refuses a speed above a platform's: the answer would be about another plan. Infinity asks
-    /// for none.
+    /// for none. Refuses a load by which no allowed reading of the robot becomes another one.
     ///
     /// # Errors
-    /// [`PathError::TooFast`]. A platform that cannot drive at all is refused with the question.
-    pub fn check_speeds(&self, platform: &Settings) -> Result<(), PathError> {
+    /// [`PathError::TooFast`] and [`PathError::Load`]. A platform that cannot drive at all is refused
+    /// with the question.
+    pub fn check_on(&self, platform: &Settings) -> Result<(), PathError> {
+        let most_w = f64::from(platform.power_max_w) - f64::from(platform.power_min_w);
+        if let Some(point) = self.load_w.iter().position(|load_w| load_w.abs() > most_w) {
+            let (found, platform) = (self.load_w[point], platform.name.clone());
+            return Err(PathError::Load { point, found, platform, allowed: most_w });
+        }
         let allowed = platform.v_max_mps;
         let is_above = |speed: f64| speed.is_finite() && speed as f32 > allowed && allowed > 0.0;
         let above = (1..self.speed_mps.len()).find(|point| is_above(self.speed_mps[*point]));

@@ -71,7 +71,7 @@ impl Route {
         moments: usize,
     ) -> Result<Self, AskError> {
         let follower = Follower::new(robot.platform())?.within(max_steps);
-        path.check_speeds(&robot.platform().settings)?;
+        path.check_on(&robot.platform().settings)?;
         let mut whole = follower.follow(path)?;
         let there = whole.v_mps.len();
         let speed_mps = path.speed_mps.last().copied().unwrap_or(0.0);

@@ -404,6 +404,27 @@ fn a_robot_with_an_alarm_on_its_readings_ranks_behind_all_others_that_may_make_i
 }
 
 #[test]
+fn a_load_that_no_reading_of_the_platform_can_contain_is_refused() {
+    let fleet = fleet();
+    let robot = Rows::with_usable(20_000.0).robot(&fleet);
+    let points = [0.0, 1.0].map(|x_m| Point::new(x_m, 0.0));
+    let settings = &robot.platform().settings;
+    let most_w = f64::from(settings.power_max_w) - f64::from(settings.power_min_w);
+    for (load_w, is_refused) in
+        [(most_w, false), (-most_w, false), (5_000.0, true), (-5_000.0, true)]
+    {
+        let path = Path { load_w: vec![0.0, load_w], ..Path::new(&points, 0.1) };
+        let asked = robot.can_finish(&path, None, 0.9);
+        assert_eq!(asked.is_err(), is_refused, "{load_w}");
+        if let Err(error) = asked {
+            let text = error.to_string();
+            let wanted = [&load_w.to_string(), &most_w.to_string(), "gternal", "`power_max_w`"];
+            assert!(wanted.iter().all(|part| text.contains(*part)), "{text}");
+        }
+    }
+}
+
+#[test]
 fn a_speed_above_the_platforms_is_refused_and_none_is_as_fast_as_the_model_knows() {
     let fleet = fleet();
     let robot = Rows::with_usable(20_000.0).robot(&fleet);
