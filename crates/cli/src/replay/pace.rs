@@ -9,7 +9,7 @@ use crossterm::event::{self, Event, KeyCode};
 use joulebus_bus::clock;
 use joulebus_program::stop::Stop;
 
-use crate::keys::{EVENT_TIMEOUT, asks_for_the_end, pressed};
+use crate::keys::{EVENT_TIMEOUT, asks_for_the_end, pressed, read_at_once};
 use joulebus_source::rate::Rate;
 
 /// Interval at which keys are polled, ns.
@@ -37,7 +37,9 @@ impl Keys {
     fn open(paused: bool, step: bool) -> anyhow::Result<Self> {
         if std::io::stdin().is_terminal() && is_foreground() {
             crossterm::terminal::enable_raw_mode().context("cannot read keys")?;
-            return Ok(Self::Terminal);
+            let keys = Self::Terminal;
+            read_at_once().context("cannot read keys")?;
+            return Ok(keys);
         }
         if (!paused && !step) || std::io::stdin().is_terminal() {
             return Ok(Self::Unavailable);

@@ -11,7 +11,7 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 
 use super::screen::Screen;
-use crate::keys::{EVENT_TIMEOUT, pressed};
+use crate::keys::{EVENT_TIMEOUT, pressed, read_at_once};
 
 /// Interval at which the processes and the end are checked.
 const POLL_INTERVAL: Duration = Duration::from_millis(30);
@@ -25,7 +25,9 @@ struct RawTerminal {
 impl RawTerminal {
     fn take() -> anyhow::Result<Self> {
         let terminal = ratatui::try_init().context("cannot use the terminal. Try --plain")?;
-        Ok(Self { terminal: ManuallyDrop::new(terminal) })
+        let taken = Self { terminal: ManuallyDrop::new(terminal) };
+        read_at_once().context("cannot read keys. Try --plain")?;
+        Ok(taken)
     }
 }
 

@@ -13,7 +13,7 @@ use joulebus_testkit::eventually;
 use pty_process::Size;
 use pty_process::blocking::Pty;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
-use rustix::process::Signal;
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::fleet::{Fleet, Program, code, joulebus};
 
@@ -252,6 +252,22 @@ fn a_view_whose_terminal_goes_away_ends() {
     terminal.shows_text("● live");
     terminal.hang_up();
     assert_eq!(terminal.wait().code(), Some(0));
+    end(&fleet, worker, source);
+}
+
+#[test]
+fn a_view_goes_on_after_the_begin_of_a_key_and_ends_at_a_signal() {
+    let (fleet, worker, source) = running();
+    // Alt-O, and a paste without its end.
+    for begin in ["\x1bO", "\x1b[200~"] {
+        let mut terminal = Terminal::start(fleet.joulebus("watch"), 80, 24);
+        terminal.shows_text("● live");
+        terminal.press(begin);
+        terminal.resize(100, 30);
+        terminal.shows_text("● live");
+        kill_process(Pid::from_child(&terminal.child), Signal::TERM).unwrap();
+        terminal.ends_well();
+    }
     end(&fleet, worker, source);
 }
 
