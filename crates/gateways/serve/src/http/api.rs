@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::{Body, Bytes, HttpBody as _};
-use axum::extract::{Extension, Path, Request, State};
+use axum::extract::{Extension, FromRequestParts, Path, Request, State};
+use axum::http::request::Parts;
 use axum::http::{HeaderMap, StatusCode, Uri, header};
 use axum::response::{IntoResponse as _, Response};
 use axum::routing::{get, post};
@@ -120,7 +121,7 @@ pub(super) fn router(app: Arc<App>) -> Router {
         .route("/api/v1/battery", post(battery))
         .route("/api/v1/stream", get(stream))
         .route("/api/v1/what_if", post(what_if))
-        .fallback(get(file))
+        .fallback(get(file).fallback(wrong_method))
         .method_not_allowed_fallback(wrong_method)
         .with_state(app)
 }
@@ -195,9 +196,8 @@ async fn battery(
 async fn capacity(
     State(app): State<Arc<App>>,
     Extension(peer): Extension<Peer>,
-    Path(id): Path<String>,
+    RobotId(robot): RobotId,
 ) -> Answer {
-    let robot = id_of(&id)?;
     let is_named = app.config.settings().platforms.iter().any(|platform| platform.has(robot));
     if !is_named {
         return Err(no_robot(robot));
@@ -283,8 +283,7 @@ async fn robots(State(app): State<Arc<App>>, uri: Uri) -> Answer {
     }))
 }
 
-async fn robot(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
-    let robot = id_of(&id)?;
+async fn robot(State(app): State<Arc<App>>, RobotId(robot): RobotId) -> Answer {
     let found = app.newest().robot(robot);
     Ok(json(&*found.ok_or_else(|| no_robot(robot))?))
 }
@@ -292,9 +291,8 @@ async fn robot(State(app): State<Arc<App>>, Path(id): Path<String>) -> Answer {
 async fn history(
     State(app): State<Arc<App>>,
     Extension(peer): Extension<Peer>,
-    Path(id): Path<String>,
+    RobotId(robot): RobotId,
 ) -> Answer {
-    let robot = id_of(&id)?;
     let record = app.ask(peer, |reply| Ask::History(robot, reply)).await?;
     Ok(json(&record.ok_or_else(|| no_robot(robot))?))
 }
@@ -302,9 +300,8 @@ async fn history(
 async fn outlook(
     State(app): State<Arc<App>>,
     Extension(peer): Extension<Peer>,
-    Path(id): Path<String>,
+    RobotId(robot): RobotId,
 ) -> Answer {
-    let robot = id_of(&id)?;
     let found = outlooks(&app, peer, Some(robot)).await?;
     let missing = || match app.newest().robot(robot) {
         Some(_) => ApiError::busy("no outlook of the worker within 1 s: ask again"),
@@ -316,6 +313,20 @@ async fn outlook(
 /// The outlooks of one robot, or of all. The worker computes them for some time from now on.
 async fn outlooks(app: &App, peer: Peer, robot: Option<u32>) -> Result<Vec<Outlook>, ApiError> {
     app.ask(peer, |reply| Ask::Outlooks(robot, reply)).await
+}
+
+/// The id of the robot in a path.
+struct RobotId(u32);
+
+impl<S: Send + Sync> FromRequestParts<S> for RobotId {
+    type Rejection = ApiError;
+
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ApiError> {
+        let found = Path::<String>::from_request_parts(parts, state).await;
+        // What is no UTF-8 is shown as it came.
+        let id = found.map_or_else(|_| parts.uri.path().to_owned(), |Path(id)| id);
+        id_of(&id).map(Self)
+    }
 }
 
 fn id_of(id: &str) -> Result<u32, ApiError> {
@@ -427,7 +438,8 @@ async fn what_if(
 /// The body of a request, which is JSON.
 async fn body<T: DeserializeOwned>(app: &App, peer: Peer, request: Request) -> Result<T, ApiError> {
     let kind = request.headers().get(header::CONTENT_TYPE);
-    let is_json = kind.is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
+    let kind = kind.and_then(|kind| kind.to_str().ok()?.split(';').next());
+    let is_json = kind.is_some_and(|kind| kind.trim().eq_ignore_ascii_case("application/json"));
     if !is_json {
         let text = "the body is JSON: send Content-Type: application/json";
         return Err(ApiError::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, text));

@@ -52,7 +52,7 @@ struct Waypoint {
 }
 
 #[derive(Debug, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "return is \"dock\" or a Place: {\"x_m\": 0, \"y_m\": 0}")]
 enum ReturnTo {
     /// "dock": where the path begins.
     Named(Dock),

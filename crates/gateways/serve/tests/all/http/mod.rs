@@ -170,6 +170,8 @@ fn an_alarm_is_acknowledged_by_whoever_may_ask_until_it_ends() {
         (&new_normal, JSON, 400, "allowed: LevelHigh, LevelLow"),
         (&good.replace('1', "-1"), JSON, 400, "openapi.json"),
         (&good, "Content-Type: text/plain", 415, "application/json"),
+        (&good, "Content-Type: application/jsonp", 415, "application/json"),
+        (&good, "Content-Type: Application/JSON; charset=utf-8", 409, "is not raised"),
         (&good, "Content-Type: application/json\r\nSec-Fetch-Site: cross-site", 403, ""),
     ] {
         let refused = acknowledge(&address, body, header);
@@ -438,6 +440,23 @@ fn a_question_is_answered_as_by_ask() {
     }
     let plain = send(&address, &format!("POST /api/v1/what_if HTTP/1.1\r\nHost: {address}"), b"{}");
     assert_eq!(plain.status, 415);
+}
+
+#[test]
+fn each_refusal_is_json_that_says_what_is_allowed() {
+    let fleet = Fleet::new();
+    let (_server, address) = fleet.serve(&[]);
+    for (line, status, allowed) in [
+        ("GET /api/v1/robots/%ff", 400, "allowed: 0 to 4294967295"),
+        ("DELETE /", 405, "openapi.json"),
+        ("OPTIONS *", 405, "openapi.json"),
+    ] {
+        let refused = send(&address, &format!("{line} HTTP/1.1\r\nHost: {address}"), b"");
+        assert_eq!(refused.status, status, "{line}");
+        assert_contains(refused.json()["error"].as_str().unwrap(), [allowed]);
+    }
+    let question = json!({"robot": 1, "return": "moon"}).to_string();
+    assert_contains(&what_if(&address, &question).text(), ["return is ", "dock"]);
 }
 
 #[test]
