@@ -53,7 +53,11 @@ pub enum RootError {
     )]
     Owner { path: PathBuf, found: u32, expected: u32 },
     /// Other users can access it.
-    #[error("{path:?} has mode {found:04o}, allowed is 0700. Run `chmod 700 {}`", path.display())]
+    #[error(
+        "{path:?} has mode {found:04o}, allowed is 0700. Set another `root`, or, if joulebus alone \
+         uses it, run `chmod 700 {}`",
+        path.display()
+    )]
     Mode { path: PathBuf, found: u32 },
     /// Not created by joulebus, or its marker is damaged.
     #[error(
