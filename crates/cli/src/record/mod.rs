@@ -20,7 +20,7 @@ use joulebus_config::Config;
 use joulebus_models::load_models;
 use joulebus_plan::PlanFleet;
 use joulebus_program::exit::{Outcome, UsageError};
-use joulebus_program::output::{Format, Output, log_line};
+use joulebus_program::output::{Format, Output, Stdout, log_line};
 use joulebus_program::stop::Stop;
 use signal_hook::consts::SIGUSR1;
 
@@ -252,7 +252,7 @@ impl Args {
 
     fn target(&self) -> Target {
         if self.out == Path::new(STDOUT) {
-            Target::Stream(Box::new(std::io::stdout()))
+            Target::Stream(Box::new(Stdout))
         } else {
             Target::File(self.out.clone())
         }

@@ -1,13 +1,16 @@
 //! Signals that end a subcommand: each ends it cleanly and leaves no files.
 
 use std::fs;
+use std::io::{self, Read as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 use std::time::Duration;
 
 use joulebus_testkit::{end_signals, eventually, ignores};
-use rustix::process::Signal;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{OFlags, fcntl_setfl};
+use rustix::process::{Pid, Signal, kill_process};
 
 use crate::captures::capture;
 use crate::exits::{calls, leaves, subcommands};
@@ -99,6 +102,42 @@ fn every_verb_that_runs_until_stopped_ends_cleanly_at_each_signal_with_its_code(
             assert!(!fleet.path("new").exists(), "{row}, {signal:?}");
         }
     }
+}
+
+#[test]
+fn a_signal_ends_what_writes_to_a_reader_that_takes_nothing() {
+    let fleet = Fleet::new();
+    let worker = fleet.worker();
+    let source = Program::start(fleet.joulebus("publish sim --robots 10"));
+    for (verb, flags) in [
+        ("watch --format json", OFlags::empty()),
+        ("watch --format json", OFlags::NONBLOCK),
+        ("record -o -", OFlags::NONBLOCK),
+    ] {
+        let (mut reader, writer) = io::pipe().unwrap();
+        fcntl_setfl(&writer, flags).unwrap();
+        let mut command = fleet.joulebus(verb);
+        command.stdout(writer.try_clone().unwrap()).stderr(Stdio::null());
+        let mut program = command.spawn().unwrap();
+        drop(command);
+        let is_full = || {
+            let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+            poll(&mut [PollFd::new(&writer, PollFlags::OUT)], Some(&now)) == Ok(0)
+        };
+        eventually("the pipe is full", is_full);
+        reader.read_exact(&mut [0; 1 << 15]).unwrap();
+        eventually("it is full again", is_full);
+        kill_process(Pid::from_child(&program), Signal::TERM).unwrap();
+        let mut status = None;
+        eventually("the program ends", || {
+            status = program.try_wait().unwrap();
+            status.is_some()
+        });
+        // 0 if the signal comes between two writes.
+        assert!(matches!(status.unwrap().code(), Some(0 | 1)), "{verb}, {flags:?}: {status:?}");
+    }
+    assert_eq!(code(&source.end(Signal::TERM)), 0);
+    assert_eq!(code(&worker.end(Signal::TERM)), 0);
 }
 
 #[test]

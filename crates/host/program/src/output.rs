@@ -4,14 +4,57 @@ use std::borrow::Cow;
 use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::io::Errno;
 use serde::Serialize;
+
+use crate::stop::is_asked_of_the_process;
+
+/// Time that a reader of stdout has to take something once a stop was requested.
+const PATIENCE: Duration = Duration::from_secs(5);
+/// Interval at which such a request is noticed.
+const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
+/// A pipe that is ready takes this many bytes without blocking.
+const PIPE_BYTES: usize = 4_096;
 
 /// The reader has closed stdout, so the program can stop.
 #[derive(Debug, thiserror::Error)]
 #[error("stdout was closed")]
 pub struct StdoutClosed;
+
+/// Stdout without a buffer. A reader that takes nothing keeps no signal from ending the program,
+/// and one whose pipe somebody has made non-blocking is waited for.
+#[derive(Debug, Clone, Copy)]
+pub struct Stdout;
+
+impl io::Write for Stdout {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        let stdout = rustix::stdio::stdout();
+        let bytes = &bytes[..bytes.len().min(PIPE_BYTES)];
+        let mut until = None;
+        loop {
+            let mut polled = [PollFd::new(&stdout, PollFlags::OUT)];
+            let is_ready = matches!(poll(&mut polled, Some(&POLL_INTERVAL)), Ok(1..));
+            match is_ready.then(|| rustix::io::write(stdout, bytes)) {
+                None | Some(Err(Errno::INTR | Errno::AGAIN)) => {}
+                Some(written) => return Ok(written?),
+            }
+            if is_asked_of_the_process()
+                && Instant::now() > *until.get_or_insert_with(|| Instant::now() + PATIENCE)
+            {
+                let why = "its reader has taken nothing for 5 s after the request to stop";
+                return Err(io::Error::new(io::ErrorKind::TimedOut, why));
+            }
+        }
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
 
 /// Value of `--format`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -72,11 +115,13 @@ impl Output {
 /// # Errors
 /// [`StdoutClosed`], or the operating system's error.
 pub fn text(text: &str) -> anyhow::Result<()> {
-    let text = printable(text);
-    let mut stdout = io::stdout().lock();
-    let line_break = if text.ends_with('\n') { "" } else { "\n" };
-    let written = write!(stdout, "{text}{line_break}").and_then(|()| stdout.flush());
-    match written {
+    let mut text = printable(text).into_owned();
+    if !text.ends_with('\n') {
+        text.push('\n');
+    }
+    // Lines of several threads do not mix.
+    let mut before = io::stdout().lock();
+    match before.flush().and_then(|()| Stdout.write_all(text.as_bytes())) {
         Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(StdoutClosed.into()),
         written => written.context("cannot write to stdout"),
     }

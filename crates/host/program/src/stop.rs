@@ -1,7 +1,7 @@
 //! Signals: those that ask a program to stop, and one that must not kill it.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
 use anyhow::Context as _;
@@ -10,6 +10,14 @@ use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM, SIGXFSZ};
 
 /// Maximum delay of the exit by a sleep.
 const POLL_INTERVAL: Duration = Duration::from_millis(50);
+
+/// Whether one of them was requested, for what is deep inside a program.
+static ASKED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
+
+/// True once a signal has requested the stop of this process.
+pub(crate) fn is_asked_of_the_process() -> bool {
+    ASKED.get().is_some_and(|asked| asked.load(Ordering::Relaxed))
+}
 
 /// Set by SIGINT, SIGTERM and SIGHUP. A second signal has no effect: the clean-up always runs.
 #[derive(Debug, Clone)]
@@ -28,8 +36,10 @@ impl Stop {
         let asked = Arc::new(AtomicBool::new(false));
         let hangup = (!is_ignored(SIGHUP)).then_some(SIGHUP);
         for signal in [SIGINT, SIGTERM].into_iter().chain(hangup) {
-            signal_hook::flag::register(signal, Arc::clone(&asked))
-                .with_context(|| format!("cannot handle signal {signal}"))?;
+            for flag in [&asked, ASKED.get_or_init(Arc::default)] {
+                signal_hook::flag::register(signal, Arc::clone(flag))
+                    .with_context(|| format!("cannot handle signal {signal}"))?;
+            }
         }
         Ok(Self { asked })
     }
