@@ -1,7 +1,7 @@
 //! Signals that end a subcommand: each ends it cleanly and leaves no files.
 
 use std::fs;
-use std::io::{self, Read as _};
+use std::io::{self, Read as _, Write as _};
 use std::os::unix::process::ExitStatusExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
@@ -138,6 +138,27 @@ fn a_signal_ends_what_writes_to_a_reader_that_takes_nothing() {
     }
     assert_eq!(code(&source.end(Signal::TERM)), 0);
     assert_eq!(code(&worker.end(Signal::TERM)), 0);
+}
+
+#[test]
+fn a_worker_whose_log_nobody_reads_serves_and_ends_at_a_signal() {
+    let fleet = Fleet::new();
+    let (_reader, mut writer) = io::pipe().unwrap();
+    fcntl_setfl(&writer, OFlags::NONBLOCK).unwrap();
+    while writer.write(b"x").is_ok() {}
+    fcntl_setfl(&writer, OFlags::empty()).unwrap();
+    let mut command = fleet.joulebus("run");
+    let mut worker = command.stdout(Stdio::null()).stderr(writer).spawn().unwrap();
+    let mut watch = Program::start(fleet.joulebus("watch --format json"));
+    watch.wait_for_stdout("\"tick\"");
+    assert_eq!(code(&watch.end(Signal::TERM)), 0);
+    kill_process(Pid::from_child(&worker), Signal::TERM).unwrap();
+    let mut status = None;
+    eventually("the worker ends", || {
+        status = worker.try_wait().unwrap();
+        status.is_some()
+    });
+    assert_eq!(status.unwrap().code(), Some(0));
 }
 
 #[test]

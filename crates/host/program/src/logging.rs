@@ -1,7 +1,7 @@
 //! Logging to stderr.
 
 use std::fmt::{Debug, Write as _};
-use std::io::{self, IsTerminal as _, Write as _};
+use std::io::{self, IsTerminal as _};
 use std::str::FromStr;
 use std::sync::OnceLock;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -13,7 +13,7 @@ use tracing::span::{Attributes, Id, Record};
 use tracing::subscriber::Interest;
 use tracing::{Event, Level, Metadata, Subscriber};
 
-use crate::output::{PROGRAM_TARGET, log_line, log_to_objects, printable};
+use crate::output::{PROGRAM_TARGET, log_line, log_to_objects, printable, to_stderr};
 use crate::utc::Utc;
 
 const VARIABLE: &str = "JOULEBUS_LOG";
@@ -186,8 +186,7 @@ impl Subscriber for Log {
             LogFormat::Text => said.text(&time, of, self.is_coloured),
             LogFormat::Json => said.json(time, of),
         };
-        // Where stderr is closed, nobody reads it.
-        let _ = io::stderr().write_all(line.as_bytes());
+        to_stderr(&line);
     }
 
     fn new_span(&self, _: &Attributes<'_>) -> Id {

@@ -3,7 +3,8 @@
 use std::borrow::Cow;
 use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::os::fd::AsFd;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use anyhow::Context as _;
@@ -144,8 +145,50 @@ pub fn log_line(line: &str) {
     if TO_LOG.load(Ordering::Relaxed) {
         tracing::info!(target: PROGRAM_TARGET, "{line}");
     } else {
-        let _ = writeln!(io::stderr(), "{line}");
+        to_stderr(&format!("{line}\n"));
     }
+}
+
+/// Lines since the last written one that the reader of stderr has not taken.
+static MISSED: AtomicU64 = AtomicU64::new(0);
+/// Time that it has for a line. After a line that it has not taken, none waits for it.
+const LOG_PATIENCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
+
+/// Writes a line to stderr, unless its reader takes nothing: no fleet waits for whoever reads the
+/// log. What was left out is counted there.
+pub(crate) fn to_stderr(line: &str) {
+    // Lines of several threads do not mix.
+    let stderr = io::stderr().lock();
+    let missed = MISSED.load(Ordering::Relaxed);
+    let patience = if missed == 0 { LOG_PATIENCE } else { Timespec::default() };
+    if !takes(&stderr, line.as_bytes(), &patience) {
+        MISSED.store(missed + 1, Ordering::Relaxed);
+        return;
+    }
+    MISSED.store(0, Ordering::Relaxed);
+    drop(stderr);
+    if missed > 0 {
+        log_line(&format!("{missed} lines before this were left out: stderr had no room for them"));
+    }
+}
+
+/// Writes without blocking. False if the reader has not taken all.
+fn takes(stderr: &impl AsFd, mut bytes: &[u8], patience: &Timespec) -> bool {
+    while !bytes.is_empty() {
+        match poll(&mut [PollFd::new(stderr, PollFlags::OUT)], Some(patience)) {
+            Ok(1..) => {}
+            Err(Errno::INTR) => continue,
+            _ => return false,
+        }
+        match rustix::io::write(stderr, &bytes[..bytes.len().min(PIPE_BYTES)]) {
+            Ok(written) => bytes = &bytes[written..],
+            Err(Errno::INTR) => {}
+            Err(Errno::AGAIN) => return false,
+            // Where it is closed, nobody reads it.
+            Err(_) => return true,
+        }
+    }
+    true
 }
 
 /// The text with control characters escaped, except tabs and line breaks, and with Unicode's
