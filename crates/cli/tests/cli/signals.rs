@@ -162,6 +162,22 @@ fn a_worker_whose_log_nobody_reads_serves_and_ends_at_a_signal() {
 }
 
 #[test]
+fn a_verb_that_ends_by_itself_waits_for_the_reader_of_its_errors() {
+    let names: Vec<String> =
+        (0..800).map(|number| format!("/nowhere/{number:0>100}.toml")).collect();
+    let mut command = joulebus(["config", "check"]);
+    command.args(&names).stdout(Stdio::null()).stderr(Stdio::piped());
+    let checks = command.spawn().unwrap();
+    // Longer than a fleet waits for whoever reads its log.
+    std::thread::sleep(Duration::from_millis(500));
+    let ended = checks.wait_with_output().unwrap();
+    assert_eq!(code(&ended), 2);
+    let said = stderr(&ended);
+    assert!(names.iter().all(|name| said.contains(name.as_str())), "{said}");
+    assert!(said.contains("800 of 800"), "{said}");
+}
+
+#[test]
 fn a_signal_ends_what_computes_at_once_and_leaves_only_whole_files() {
     let (signals, ignored): (Vec<_>, Vec<_>) =
         end_signals().into_iter().partition(|signal| !ignores(std::process::id(), *signal));

@@ -59,7 +59,7 @@ pub fn code(result: anyhow::Result<Outcome>) -> ExitCode {
         Ok(Outcome::Incomplete) => INCOMPLETE.into(),
         Err(error) if error.is::<StdoutClosed>() => ExitCode::SUCCESS,
         Err(error) => {
-            output::log_line(&format!("error: {}", in_words(&error)));
+            output::last_line(&format!("error: {}", in_words(&error)));
             let is_usage = error.chain().any(|cause| {
                 cause.is::<UsageError>() || cause.is::<ConfigError>() || cause.is::<UnknownKey>()
             });

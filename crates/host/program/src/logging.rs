@@ -6,7 +6,7 @@ use std::str::FromStr;
 use std::sync::OnceLock;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use tracing::field::{Field, Visit};
 use tracing::level_filters::LevelFilter;
 use tracing::span::{Attributes, Id, Record};
@@ -179,9 +179,7 @@ impl Subscriber for Log {
         if is_taken || !self.shows(of) {
             return;
         }
-        let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
-        // Until the year 2554.
-        let time = timestamp(unix_ns as u64);
+        let time = time_now();
         let line = match self.format {
             LogFormat::Text => said.text(&time, of, self.is_coloured),
             LogFormat::Json => said.json(time, of),
@@ -198,6 +196,18 @@ impl Subscriber for Log {
     fn record_follows_from(&self, _: &Id, _: &Id) {}
     fn enter(&self, _: &Id) {}
     fn exit(&self, _: &Id) {}
+}
+
+/// A message of the program as a line of a log whose lines are objects, without its end.
+pub(crate) fn object(message: &str) -> String {
+    let (time, target) = (time_now(), PROGRAM_TARGET);
+    json!({"timestamp": time, "level": "INFO", "target": target, "message": message}).to_string()
+}
+
+fn time_now() -> String {
+    let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
+    // Until the year 2554.
+    timestamp(unix_ns as u64)
 }
 
 /// As in `2026-11-22T09:05:07.250Z`.

@@ -12,13 +12,14 @@ use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
 
-use crate::stop::is_asked_of_the_process;
+use crate::logging::object;
+use crate::stop::{is_asked_of_the_process, sets_a_flag};
 
 /// Time that a reader of stdout has to take something once a stop was requested.
 const PATIENCE: Duration = Duration::from_secs(5);
 /// Interval at which such a request is noticed.
 const POLL_INTERVAL: Timespec = Timespec { tv_sec: 0, tv_nsec: 50_000_000 };
-/// A pipe that is ready takes this many bytes without blocking.
+/// A pipe that is ready takes this many bytes without blocking. A terminal may block.
 const PIPE_BYTES: usize = 4_096;
 
 /// The reader has closed stdout, so the program can stop.
@@ -151,44 +152,70 @@ pub fn log_line(line: &str) {
 
 /// Lines since the last written one that the reader of stderr has not taken.
 static MISSED: AtomicU64 = AtomicU64::new(0);
+/// True if it has taken the begin of the first of them.
+static CUT: AtomicBool = AtomicBool::new(false);
 /// Time that it has for a line. After a line that it has not taken, none waits for it.
 const LOG_PATIENCE: Timespec = Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
+/// Time that it has for the last line.
+const LAST_PATIENCE: Timespec = Timespec { tv_sec: 5, tv_nsec: 0 };
 
-/// Writes a line to stderr, unless its reader takes nothing: no fleet waits for whoever reads the
-/// log. What was left out is counted there.
+/// Writes a line to stderr. Where signals set a flag, the reader of a pipe that takes nothing would
+/// keep a fleet waiting, and the signals: there the line is left out, and counted before the next one
+/// that is taken. Other programs wait for their reader, and a signal ends them.
 pub(crate) fn to_stderr(line: &str) {
-    // Lines of several threads do not mix.
-    let stderr = io::stderr().lock();
-    let missed = MISSED.load(Ordering::Relaxed);
-    let patience = if missed == 0 { LOG_PATIENCE } else { Timespec::default() };
-    if !takes(&stderr, line.as_bytes(), &patience) {
-        MISSED.store(missed + 1, Ordering::Relaxed);
-        return;
-    }
-    MISSED.store(0, Ordering::Relaxed);
-    drop(stderr);
-    if missed > 0 {
-        log_line(&format!("{missed} lines before this were left out: stderr had no room for them"));
-    }
+    write_line(line, &LOG_PATIENCE, &Timespec::default());
 }
 
-/// Writes without blocking. False if the reader has not taken all.
-fn takes(stderr: &impl AsFd, mut bytes: &[u8], patience: &Timespec) -> bool {
-    while !bytes.is_empty() {
+/// Writes the last line of a program: the reader has some seconds for it, whatever it has missed.
+pub(crate) fn last_line(line: &str) {
+    if TO_LOG.load(Ordering::Relaxed) {
+        return log_line(line);
+    }
+    write_line(&format!("{}\n", printable(line)), &LAST_PATIENCE, &LAST_PATIENCE);
+}
+
+fn write_line(line: &str, patience: &Timespec, after_a_miss: &Timespec) {
+    // Lines of several threads do not mix.
+    let mut stderr = io::stderr().lock();
+    if !sets_a_flag() {
+        let _ = stderr.write_all(line.as_bytes());
+        return;
+    }
+    let (missed, is_cut) = (MISSED.load(Ordering::Relaxed), CUT.load(Ordering::Relaxed));
+    let written = if missed == 0 {
+        takes(&stderr, line.as_bytes(), patience)
+    } else {
+        let count = format!("{missed} lines were left out: stderr had no room for them");
+        let count = if TO_LOG.load(Ordering::Relaxed) { object(&count) } else { count };
+        let end_of_line = if is_cut { "\n" } else { "" };
+        takes(&stderr, format!("{end_of_line}{count}\n{line}").as_bytes(), after_a_miss)
+    };
+    MISSED.store(if written.is_ok() { 0 } else { missed + 1 }, Ordering::Relaxed);
+    CUT.store(written.is_err_and(|bytes| bytes > 0 || is_cut), Ordering::Relaxed);
+}
+
+/// Writes without blocking.
+///
+/// # Errors
+/// The number of bytes that the reader has taken, if it has not taken all.
+fn takes(stderr: &impl AsFd, bytes: &[u8], patience: &Timespec) -> Result<(), usize> {
+    let mut written = 0;
+    while written < bytes.len() {
         match poll(&mut [PollFd::new(stderr, PollFlags::OUT)], Some(patience)) {
             Ok(1..) => {}
             Err(Errno::INTR) => continue,
-            _ => return false,
+            _ => return Err(written),
         }
-        match rustix::io::write(stderr, &bytes[..bytes.len().min(PIPE_BYTES)]) {
-            Ok(written) => bytes = &bytes[written..],
+        let end = bytes.len().min(written + PIPE_BYTES);
+        match rustix::io::write(stderr, &bytes[written..end]) {
+            Ok(more) => written += more,
             Err(Errno::INTR) => {}
-            Err(Errno::AGAIN) => return false,
+            Err(Errno::AGAIN) => return Err(written),
             // Where it is closed, nobody reads it.
-            Err(_) => return true,
+            Err(_) => return Ok(()),
         }
     }
-    true
+    Ok(())
 }
 
 /// The text with control characters escaped, except tabs and line breaks, and with Unicode's

@@ -14,6 +14,11 @@ const POLL_INTERVAL: Duration = Duration::from_millis(50);
 /// Whether one of them was requested, for what is deep inside a program.
 static ASKED: OnceLock<Arc<AtomicBool>> = OnceLock::new();
 
+/// True if signals set a flag in this process, and do not end it by themselves.
+pub(crate) fn sets_a_flag() -> bool {
+    ASKED.get().is_some()
+}
+
 /// True once a signal has requested the stop of this process.
 pub(crate) fn is_asked_of_the_process() -> bool {
     ASKED.get().is_some_and(|asked| asked.load(Ordering::Relaxed))

@@ -21,6 +21,7 @@ const LISTED: &[(&str, &str)] = &[
     ("predictor/src/gelu.rs ERF", "constant"),
     ("predictor/src/gelu.rs TANH", "constant"),
     ("program/src/logging.rs TAP", "set by programs before they log, and by no library"),
+    ("program/src/output.rs CUT", "an atomic"),
     ("program/src/output.rs MISSED", "an atomic"),
     ("program/src/output.rs TO_LOG", "an atomic"),
     ("program/src/stop.rs ASKED", "set by programs before they start threads, and by no library"),
