@@ -314,16 +314,10 @@ impl Checkpoint {
     /// Converts the accounts to the current boot. After a reboot the stamps restart, and the time
     /// in between, known only from the wall clock, is unmetered. If the wall clock shows less than
     /// the time since this boot (it is not set yet, or was set back), the time is unknown, and so
-    /// is the charge of the batteries. Within a boot a false stamp becomes one shortly before the
-    /// file was written: until its time had come, the account would count nothing.
+    /// is the charge of the batteries.
     #[must_use]
     pub(crate) fn carried_over(mut self, boot_id: &str, now_ns: u64, now_unix_ns: u64) -> Self {
         if self.boot_id == boot_id {
-            let written_ns = self.written_ns;
-            let latest_ns = written_ns.saturating_add(MAX_AHEAD_NS);
-            for account in self.robots.values_mut().filter(|one| one.stamp_ns > latest_ns) {
-                account.stamp_ns = written_ns.saturating_sub(MAX_AHEAD_NS);
-            }
             return self;
         }
         let by_wall_ns = now_unix_ns.saturating_sub(self.written_unix_ns);
@@ -358,20 +352,19 @@ impl Checkpoint {
     }
 
     /// The accounts as ledgers, the robot that was silent longest first. Accounts with false stamps
-    /// come before it.
+    /// come before it, and get one shortly before the file was written: until its time had come,
+    /// such an account would count nothing.
     pub(crate) fn ledgers(&self) -> Vec<RestoredAccount> {
         let mut robots: Vec<(&u32, &SavedAccount)> = self.robots.iter().collect();
         robots.sort_by_key(|(_, account)| self.age(account));
         let ledger = |(robot, account): (&u32, &SavedAccount)| {
             let drawn = (account.drawn_uj, account.drawn_remainder);
             let (metered_ns, unmetered_ns) = (account.metered_ns, account.unmetered_ns);
-            let ledger = Ledger::restored(
-                drawn,
-                account.forecast_uj,
-                metered_ns,
-                unmetered_ns,
-                account.stamp_ns,
-            );
+            let (is_true, stamp_ns) = self.age(account);
+            let before_ns = self.written_ns.saturating_sub(MAX_AHEAD_NS);
+            let stamp_ns = if is_true { stamp_ns } else { before_ns };
+            let forecast_uj = account.forecast_uj;
+            let ledger = Ledger::restored(drawn, forecast_uj, metered_ns, unmetered_ns, stamp_ns);
             let mean_power_w = account.mean_power_w;
             let pause = account.pause.unwrap_or_default();
             let whole = |battery: SavedBattery| battery.with_mean_power_w(mean_power_w);
@@ -659,7 +652,10 @@ pub(crate) mod tests {
         assert_eq!(restored(&rebooted), [1, 2, 10, 11, 12, 13, 14, 15]);
         let again = ledger.clone().carried_over("boot-a", now_ns + 5_000, 0);
         assert_eq!(restored(&again), [1, 2, 10, 11, 12, 13, 14, 15]);
-        assert!(again.robots.values().all(|account| account.stamp_ns <= now_ns), "they count on");
+        let stamps_ns = again.ledgers().into_iter().filter_map(|one| one.ledger.stamp_ns());
+        assert!(stamps_ns.into_iter().all(|stamp_ns| stamp_ns <= now_ns), "they count on");
+        // Robots that have been silent for a minute come before those with false stamps.
+        assert!(again.by_age().filter(|((is_true, _), _)| !is_true).count() > 0);
         now_ns += MAX_AHEAD_NS;
         let two = [1, 2].map(|robot| of((robot, now_ns)));
         assert_eq!(ledger.take(&sent(now_ns), &two, (2, |_| Some(100))), 14);
