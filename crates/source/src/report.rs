@@ -59,10 +59,12 @@ pub struct PlayedTrial {
 
 impl PublishReport {
     /// True if samples did not reach a worker that should have, or if it refused some. Those of a
-    /// robot that another source has are not lost: it takes the other's.
+    /// robot that another source has, or a successor of this one, are not lost: it takes the
+    /// other's.
     pub fn has_lost(&self) -> bool {
         let mut reasons = self.samples_refused.keys();
-        let is_refused = reasons.any(|reason| *reason != DropReason::ForeignSource.name());
+        let others = [DropReason::ForeignSource, DropReason::OldEpoch].map(DropReason::name);
+        let is_refused = reasons.any(|reason| !others.contains(reason));
         self.frames_failed > 0 || self.frames_unanswered > 0 || is_refused
     }
 }
@@ -112,7 +114,8 @@ mod tests {
 
     #[test]
     fn refused_samples_are_lost_but_for_those_of_a_second_source() {
-        for (reason, lost) in [(DropReason::BadTime, true), (DropReason::ForeignSource, false)] {
+        use DropReason::{BadTime, ForeignSource, OldEpoch};
+        for (reason, lost) in [(BadTime, true), (ForeignSource, false), (OldEpoch, false)] {
             let samples_refused = BTreeMap::from([(reason.name(), 7)]);
             let report = PublishReport { samples_refused, ..PublishReport::default() };
             assert_eq!(report.has_lost(), lost, "{report}");

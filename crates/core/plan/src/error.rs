@@ -134,7 +134,7 @@ pub enum PathError {
     TooFast { point: usize, found: f64, platform: String, allowed: f32 },
     /// A load that no reading of the platform can contain.
     #[error(
-        "a load of {found} W from point {point} on: at most {allowed} W lie between the readings that \
+        "a load of {found} W towards point {point}, and while it waits there: at most {allowed} W lie between the readings that \
          platform {platform} allows (`power_min_w`, `power_max_w` in its config). Loads are in W"
     )]
     Load { point: usize, found: f64, platform: String, allowed: f64 },

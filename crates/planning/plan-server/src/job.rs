@@ -35,7 +35,7 @@ pub(crate) struct Job {
     watch: Option<PeerWatch>,
 }
 
-/// JobState of a job. A job that is answered or refused is removed.
+/// State of a job. A job that is answered or refused is removed.
 ///
 /// 1. A question is `Waiting` until a current frame of the robots' states is here. It is then
 ///    `Working`, a step at a time. If the states become stale meanwhile, it starts again with newer
