@@ -56,7 +56,12 @@ int main(int count, char **arguments) {
             /* What your power monitor says. Here it is near what such a robot draws. */
             robots[robot].power_w = 4.0f + 0.02f * (float)((frame + robot) % 7);
         }
-        if (joulebus_publisher_publish(publisher, robots, ROBOTS, due_ns, NULL)) {
+        const joulebus_error error = joulebus_publisher_publish(publisher, robots, ROBOTS, due_ns, NULL);
+        if (error == JOULEBUS_ERROR_CONNECT) {
+            /* Files of this process were removed. */
+            return failed("not sent");
+        }
+        if (error) {
             /* The publisher remains usable. */
             fprintf(stderr, "not sent: %s\n", joulebus_last_error());
         }

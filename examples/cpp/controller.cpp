@@ -54,6 +54,9 @@ int main(int count, char **arguments) {
         auto sent = publisher->publish(robots, static_cast<std::uint64_t>(due_ns));
         if (!sent) {
             std::cerr << "not sent: " << sent.error().message << '\n';
+            if (sent.error().code == JOULEBUS_ERROR_CONNECT) {
+                return EXIT_FAILURE;    // files of this process were removed
+            }
         }
         due += period;
         std::this_thread::sleep_until(due);

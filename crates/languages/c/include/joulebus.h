@@ -1076,7 +1076,8 @@ enum joulebus_error
      */
     JOULEBUS_ERROR_VERSION = 5,
     /**
-     * The config, its models, joining the fleet, or a service of it.
+     * The config, its models, joining the fleet, or a service of it. While publishing: files of this
+     * process were removed, and it must open again.
      */
     JOULEBUS_ERROR_CONNECT = 6,
     /**
@@ -1092,7 +1093,7 @@ enum joulebus_error
      */
     JOULEBUS_ERROR_INTERRUPTED = 9,
     /**
-     * A frame was refused, and not sent.
+     * A frame was not sent. The next may be.
      */
     JOULEBUS_ERROR_PUBLISH = 10,
     /**

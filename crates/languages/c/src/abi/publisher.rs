@@ -162,7 +162,11 @@ fn publish(
     // SAFETY: the caller's promises, in joulebus.h.
     let sent = (!sent.is_null()).then(|| unsafe { out("sent", sent) });
     let sent = sent.transpose()?;
-    let refused = |error: PublishError| Failure::new(joulebus_error::Publish, error);
+    let refused = |error: PublishError| {
+        let is_final = matches!(&error, PublishError::Send(reason) if reason.is_final());
+        let code = if is_final { joulebus_error::Connect } else { joulebus_error::Publish };
+        Failure::new(code, error)
+    };
     let done: Sent = handles::with(publisher, |publisher| send(publisher).map_err(refused))?;
     if let Some(mut sent) = sent {
         sent.set(joulebus_sent {

@@ -25,7 +25,8 @@ pub enum joulebus_error {
     Process = 4,
     /// The program was compiled with the header of another release.
     Version = 5,
-    /// The config, its models, joining the fleet, or a service of it.
+    /// The config, its models, joining the fleet, or a service of it. While publishing: files of this
+    /// process were removed, and it must open again.
     Connect = 6,
     /// Frames could not be read, or are of another version. The next call may succeed.
     Read = 7,
@@ -33,7 +34,7 @@ pub enum joulebus_error {
     NoFrame = 8,
     /// A signal arrived while waiting.
     Interrupted = 9,
-    /// A frame was refused, and not sent.
+    /// A frame was not sent. The next may be.
     Publish = 10,
     /// A model file is refused, or does not fit the question.
     Model = 11,
