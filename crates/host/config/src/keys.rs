@@ -50,7 +50,7 @@ pub const KEYS: &[Key] = &[
     key("fleet.name", ValueKind::Text(TextRule::Name), "", DefaultValue::Required,
         "Name of the fleet. Part of every service name, so that fleets do not mix."),
     key("fleet.capacity", int(bounds::CAPACITY), "robots", DefaultValue::Unset,
-        "Maximum number of robots. Further ones are refused, counted and named. Each robot reserves 0.1 to 0.4 MB of shared memory. Without it: the robots that the platforms list, up to 1000."),
+        "Maximum number of robots. Further ones are refused, counted and named. Some 25 MB of shared memory are reserved, and 0.1 to 0.4 MB more for each robot. Without it: the robots that the platforms list, up to 1000."),
 
     key("domain.root", ValueKind::Text(TextRule::Root), "", DefaultValue::Text(DEFAULT_ROOT),
         "Private directory that holds the fleet's shared memory. Keep it on a tmpfs."),
