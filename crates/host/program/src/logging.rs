@@ -4,17 +4,15 @@ use std::fmt::{Debug, Write as _};
 use std::io::{self, IsTerminal as _};
 use std::str::FromStr;
 use std::sync::OnceLock;
-use std::time::{SystemTime, UNIX_EPOCH};
 
-use serde_json::{Map, Value, json};
+use serde_json::{Map, Value};
 use tracing::field::{Field, Visit};
 use tracing::level_filters::LevelFilter;
 use tracing::span::{Attributes, Id, Record};
 use tracing::subscriber::Interest;
 use tracing::{Event, Level, Metadata, Subscriber};
 
-use crate::output::{PROGRAM_TARGET, log_line, log_to_objects, printable, to_stderr};
-use crate::utc::Utc;
+use crate::output::{PROGRAM_TARGET, log_line, log_to_objects, printable, time_now, to_stderr};
 
 const VARIABLE: &str = "JOULEBUS_LOG";
 /// Target of the robots' alarms, which are logged at any verbosity.
@@ -198,25 +196,6 @@ impl Subscriber for Log {
     fn exit(&self, _: &Id) {}
 }
 
-/// A message of the program as a line of a log whose lines are objects, without its end.
-pub(crate) fn object(message: &str) -> String {
-    let (time, target) = (time_now(), PROGRAM_TARGET);
-    json!({"timestamp": time, "level": "INFO", "target": target, "message": message}).to_string()
-}
-
-fn time_now() -> String {
-    let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
-    // Until the year 2554.
-    timestamp(unix_ns as u64)
-}
-
-/// As in `2026-11-22T09:05:07.250Z`.
-fn timestamp(unix_ns: u64) -> String {
-    let at = Utc::new(unix_ns);
-    let Utc { hour, minute, second, millisecond, .. } = at;
-    format!("{}T{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z", at.date())
-}
-
 /// What an event says.
 #[derive(Default)]
 struct Said {
@@ -323,7 +302,7 @@ mod tests {
 
     #[test]
     fn a_moment_has_its_date_and_milliseconds() {
-        assert_eq!(timestamp(1_795_338_307_250_999_999), "2026-11-22T09:05:07.250Z");
+        assert_eq!(crate::output::timestamp(1_795_338_307_250_999_999), "2026-11-22T09:05:07.250Z");
     }
 
     /// Keeps the lines that would be written.

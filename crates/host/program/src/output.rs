@@ -5,15 +5,16 @@ use std::fmt::{Display, Write as _};
 use std::io::{self, Write as _};
 use std::os::fd::AsFd;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use anyhow::Context as _;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::io::Errno;
 use serde::Serialize;
+use serde_json::json;
 
-use crate::logging::object;
 use crate::stop::{is_asked_of_the_process, sets_a_flag};
+use crate::utc::Utc;
 
 /// Time that a reader of stdout has to take something once a stop was requested.
 const PATIENCE: Duration = Duration::from_secs(5);
@@ -148,6 +149,26 @@ pub fn log_line(line: &str) {
     } else {
         to_stderr(&format!("{line}\n"));
     }
+}
+
+/// A message of the program as a line of a log whose lines are objects, without its end.
+fn object(message: &str) -> String {
+    let (time, target) = (time_now(), PROGRAM_TARGET);
+    json!({"timestamp": time, "level": "INFO", "target": target, "message": message}).to_string()
+}
+
+/// The time now, for a line of the log.
+pub(crate) fn time_now() -> String {
+    let unix_ns = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_nanos();
+    // Until the year 2554.
+    timestamp(unix_ns as u64)
+}
+
+/// As in `2026-11-22T09:05:07.250Z`.
+pub(crate) fn timestamp(unix_ns: u64) -> String {
+    let at = Utc::new(unix_ns);
+    let Utc { hour, minute, second, millisecond, .. } = at;
+    format!("{}T{hour:02}:{minute:02}:{second:02}.{millisecond:03}Z", at.date())
 }
 
 /// Lines since the last written one that the reader of stderr has not taken.

@@ -121,7 +121,7 @@ fn row_6_only_labels_come_from_the_wall_clock() {
         // From when to when certificates are valid.
         "link/src/certificates.rs",
         // Times of lines of the log.
-        "program/src/logging.rs",
+        "program/src/output.rs",
         // Times at which messages were sent, for their readers.
         "link/src/rmw.rs",
         // Times that a page shows beside its values.
