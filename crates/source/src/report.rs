@@ -58,13 +58,15 @@ pub struct PlayedTrial {
 }
 
 impl PublishReport {
-    /// True if samples did not reach a worker that should have, or if it refused some. Those of a
-    /// robot that another source has, or a successor of this one, are not lost: it takes the
-    /// other's.
+    /// True if samples did not reach a worker that should have, or if it refused some for what they
+    /// say. Not for what others do: another source or a successor has the robot, or the worker is
+    /// behind, as a live source must expect.
     pub fn has_lost(&self) -> bool {
+        use DropReason::{Backlog, BeforeJoin, ForeignSource, OldEpoch, Overflow};
+        let by_others = [ForeignSource, OldEpoch, Backlog, Overflow, BeforeJoin];
         let mut reasons = self.samples_refused.keys();
-        let others = [DropReason::ForeignSource, DropReason::OldEpoch].map(DropReason::name);
-        let is_refused = reasons.any(|reason| !others.contains(reason));
+        let is_refused =
+            reasons.any(|reason| !by_others.iter().any(|other| other.name() == *reason));
         self.frames_failed > 0 || self.frames_unanswered > 0 || is_refused
     }
 }
@@ -113,9 +115,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn refused_samples_are_lost_but_for_those_of_a_second_source() {
-        use DropReason::{BadTime, ForeignSource, OldEpoch};
-        for (reason, lost) in [(BadTime, true), (ForeignSource, false), (OldEpoch, false)] {
+    fn samples_refused_for_what_they_say_are_lost() {
+        use DropReason::{Backlog, BadTime, ForeignSource, OldEpoch};
+        let others = [ForeignSource, OldEpoch, Backlog].map(|reason| (reason, false));
+        for (reason, lost) in others.into_iter().chain([(BadTime, true)]) {
             let samples_refused = BTreeMap::from([(reason.name(), 7)]);
             let report = PublishReport { samples_refused, ..PublishReport::default() };
             assert_eq!(report.has_lost(), lost, "{report}");
